@@ -1,0 +1,58 @@
+"""A 3D Gaussian model: the tensors and what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N Gaussians in the world frame; a field says by its name under which activation it is stored.
+
+    Attributes:
+        means: `[N, 3]`, SfM units.
+        quats: `[N, 4]` `wxyz`, of any non-zero length.
+        log_scales: `[N, 3]`, ln of the standard deviations along the principal axes.
+        opacity_logits: `[N]`, opacity = sigmoid.
+        sh: `[N, K, C]`, K = (degree + 1)² coefficients, C = 3 (RGB) or 1 (thermal); colour = max(0, ½ + basis · sh).
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    opacity_logits: Tensor
+    sh: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        return int(self.sh.shape[1] ** 0.5 + 0.5) - 1
+
+    @property
+    def channels(self) -> int:
+        return self.sh.shape[2]
+
+    def tensors(self) -> dict[str, Tensor]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def to(self, *args: Any, **kwargs: Any) -> Gaussians:
+        return Gaussians(**{k: v.to(*args, **kwargs) for k, v in self.tensors().items()})
+
+    def detach(self) -> Gaussians:
+        return Gaussians(**{k: v.detach() for k, v in self.tensors().items()})
+
+    def scaled(self, factor: float) -> Gaussians:
+        """The same model in a unit `factor` times smaller (lengths × factor); opacities and colours stay."""
+        return Gaussians(
+            self.means * factor,
+            self.quats,
+            self.log_scales + torch.log(torch.tensor(factor, dtype=self.log_scales.dtype)),
+            self.opacity_logits,
+            self.sh,
+        )

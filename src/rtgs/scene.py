@@ -1,0 +1,153 @@
+"""The records that the stages hand on: Rig, Frame, Capture, Scene.
+
+Everything here is in memory; `rtgs.io` reads and writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtgs.camera import Camera
+from rtgs.geometry import SE3
+
+HELD_OUT_EVERY = 8  # frames 0, 8, 16, … in name order
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Two cameras fixed to each other.
+
+    Attributes:
+        rgb, thermal: intrinsics.
+        rgb_from_thermal: translation in metres.
+    """
+
+    rgb: Camera
+    thermal: Camera
+    rgb_from_thermal: SE3
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the two optical centres, in metres."""
+        return float(np.linalg.norm(self.rgb_from_thermal.translation))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One instant: a synchronised, undistorted pair.
+
+    Attributes:
+        name: common stem of both files.
+        rgb: `[H, W, 3]` float32 in [0, 1].
+        thermal: `[h, w]` float32, °C (or counts, where `Capture.thermal_unit` is "relative").
+    """
+
+    name: str
+    rgb: NDArray[np.float32]
+    thermal: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class SparsePoints:
+    """SfM points in the world frame: `xyz` `[P, 3]` float64, `rgb` `[P, 3]` float32 in [0, 1]."""
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """RGB poses that came with a capture: `world_from_rgb` by frame name, and the points, where the source has them."""
+
+    world_from_rgb: Mapping[str, SE3]
+    points: SparsePoints | None
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A capture folder, validated and undistorted.
+
+    Attributes:
+        root: the folder.
+        raw_rig: cameras as calibrated, lens included, at the files' resolution (SfM reads the files).
+        rig: pinhole cameras of the images in `frames`.
+        frames: in name order; all of them, registered or not.
+        rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill.
+        thermal_unit: "celsius", or "relative" when the rig file gives no radiometry.
+        poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
+        warnings: what a person should know and can live with.
+    """
+
+    root: Path
+    raw_rig: Rig
+    rig: Rig
+    frames: tuple[Frame, ...]
+    rgb_mask: NDArray[np.bool_]
+    thermal_mask: NDArray[np.bool_]
+    thermal_unit: Literal["celsius", "relative"]
+    poses: Poses | None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A capture with RGB poses: what every later stage starts from.
+
+    Attributes:
+        capture: images, masks, rig.
+        world_from_rgb: pose by name, of the frames that were registered. The world and its unit are SfM's.
+        points: sparse points, possibly none.
+        failures: name → reason, of the frames that were not.
+    """
+
+    capture: Capture
+    world_from_rgb: Mapping[str, SE3]
+    points: SparsePoints
+    failures: Mapping[str, str]
+
+    @property
+    def rig(self) -> Rig:
+        return self.capture.rig
+
+    @cached_property
+    def frames(self) -> tuple[Frame, ...]:
+        """Registered frames in name order."""
+        return tuple(f for f in self.capture.frames if f.name in self.world_from_rgb)
+
+    @cached_property
+    def _held_out_names(self) -> frozenset[str]:
+        return frozenset(f.name for f in self.capture.frames[::HELD_OUT_EVERY])
+
+    @cached_property
+    def train_frames(self) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.name not in self._held_out_names)
+
+    @cached_property
+    def held_out_frames(self) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.name in self._held_out_names)
+
+    def rgb_from_world(self, name: str) -> SE3:
+        return self.world_from_rgb[name].inverse()
+
+    def world_from_thermal(self, name: str, sfm_per_metre: float) -> SE3:
+        """Eq. 1: `world_from_rgb ∘ (R, s·t)`."""
+        return self.world_from_rgb[name] @ self.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre)
+
+    def thermal_from_world(self, name: str, sfm_per_metre: float) -> SE3:
+        return self.world_from_thermal(name, sfm_per_metre).inverse()
+
+    @cached_property
+    def extent(self) -> float:
+        """Radius of the camera positions about their mean, × 1.1: the unit of 3DGS's position learning rate."""
+        centres = np.stack([p.translation for p in self.world_from_rgb.values()])
+        return float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()) * 1.1
