@@ -1,0 +1,74 @@
+"""`render`: a Gaussian model seen from a camera, with gradients for the model and for the pose."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rtgs.camera import Camera
+from rtgs.errors import RtgsError
+from rtgs.gaussians import Gaussians
+from rtgs.geometry import SE3
+from rtgs.render import cpu, reference
+from rtgs.render.settings import Backend, Render, RenderSettings
+from rtgs.sh import coefficients
+
+__all__ = ["Backend", "Render", "RenderSettings", "render"]
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    camera_from_world: SE3,
+    *,
+    settings: RenderSettings | None = None,
+    pixel_offsets: Tensor | None = None,
+) -> Render:
+    """Render a model.
+
+    Gradients reach every tensor of `gaussians`, both parts of `camera_from_world` (the view direction of the spherical harmonics
+    included) and `pixel_offsets`.
+
+    Args:
+        gaussians: the model; the "cpu" back end computes in float32.
+        camera: a camera without distortion.
+        camera_from_world: NumPy or torch.
+        settings: how; `RenderSettings()` when None.
+        pixel_offsets: `[N, 2]`, added to the projected centres. Zeros that require a gradient give the screen-space gradient that
+            densification reads.
+
+    Raises:
+        RtgsError: the camera has a lens, or the settings ask for SH bands the model does not have.
+    """
+    settings = settings or RenderSettings()
+    if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+        raise RtgsError(f"render: the camera model is {camera.model}; undistort first (Camera.pinhole() and undistort).")
+    backend = {"cpu": cpu, "reference": reference}[settings.backend]
+    pose = camera_from_world.to_torch(gaussians.means.dtype)
+    sh = gaussians.sh
+    if settings.sh_degree is not None:
+        if settings.sh_degree > gaussians.sh_degree:
+            raise RtgsError(f"render: sh_degree {settings.sh_degree} asked, the model has {gaussians.sh_degree}.")
+        sh = sh[:, : coefficients(settings.sh_degree)]
+    camera_centre = -(pose.rotation.T @ pose.translation)
+    colors = backend.colors_from_sh(gaussians.means, sh, camera_centre)
+    if settings.channel_weights is not None:
+        colors = colors @ torch.tensor(settings.channel_weights, dtype=colors.dtype)[:, None]
+    if settings.with_depth:  # depth is one more channel
+        depths = gaussians.means @ pose.rotation[2] + pose.translation[2]
+        colors = torch.cat([colors, depths[:, None]], dim=1)
+    image, alpha, visible = backend.rasterize(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.log_scales,
+        gaussians.opacity_logits,
+        colors,
+        camera,
+        pose,
+        near_plane=settings.near_plane,
+        antialiased=settings.antialiased,
+        pixel_offsets=pixel_offsets,
+    )
+    if settings.with_depth:
+        return Render(image[..., :-1], alpha, image[..., -1], visible)
+    return Render(image, alpha, None, visible)
