@@ -1,13 +1,15 @@
 """One camera's intrinsics and lens.
 
-Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`; `cx`, `cy` mean that (COLMAP's convention), and resizing keeps it. OpenCV puts
-centres at integers, so every call into it here shifts by half a pixel.
+Pixel `(i, j)` has its centre at `(i + 0.5, j + 0.5)`; `cx`, `cy` mean that (COLMAP's convention), and resizing keeps it. OpenCV
+puts centres at integers, so every call into it here shifts by half a pixel.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,6 +50,16 @@ class Camera:
     p2: float = 0.0
 
     @property
+    def distortion(self) -> tuple[float, ...]:
+        """The lens terms that `model` names, in COLMAP's order."""
+        return tuple(float(getattr(self, name)) for name in DISTORTION_OF_MODEL[self.model])
+
+    @property
+    def has_distortion(self) -> bool:
+        """Whether undistorting would move a pixel. A fisheye moves them even with all its terms at zero."""
+        return self.model == "OPENCV_FISHEYE" or any(k != 0.0 for k in self.distortion)
+
+    @property
     def matrix(self) -> NDArray[np.float64]:
         """`[3, 3]` intrinsic matrix K."""
         return np.array([[self.fl_x, 0.0, self.cx], [0.0, self.fl_y, self.cy], [0.0, 0.0, 1.0]])
@@ -62,3 +74,78 @@ class Camera:
         return replace(
             self, width=width, height=height, fl_x=self.fl_x * sx, fl_y=self.fl_y * sy, cx=self.cx * sx, cy=self.cy * sy
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Undistortion:
+    """The resampling that takes a camera's images to those of `camera.pinhole()`: same focal lengths, centre and size.
+
+    Attributes:
+        camera: the camera with its lens.
+    """
+
+    camera: Camera
+
+    @cached_property
+    def _map(self) -> NDArray[np.float32]:
+        """`[H, W, 2]`: for each undistorted pixel where to read, in OpenCV's coordinates (pixel centres at integers)."""
+        cam = self.camera
+        k_cv = cam.matrix
+        k_cv[:2, 2] -= 0.5
+        size = (cam.width, cam.height)
+        if cam.model == "OPENCV_FISHEYE":
+            x, y = cv2.fisheye.initUndistortRectifyMap(k_cv, np.array(cam.distortion), np.eye(3), k_cv, size, cv2.CV_32FC1)
+        else:
+            lens = np.array([cam.k1, cam.k2, cam.p1, cam.p2])  # RADIAL and its like are OPENCV with zeros
+            x, y = cv2.initUndistortRectifyMap(k_cv, lens, np.eye(3), k_cv, size, cv2.CV_32FC1)
+        return np.stack([x, y], axis=-1)
+
+    @cached_property
+    def mask(self) -> NDArray[np.bool_]:
+        """`[H, W]` bool: undistorted pixels whose source lies on the sensor, where the lens model can be trusted."""
+        cam = self.camera
+        if not cam.has_distortion:
+            return np.ones((cam.height, cam.width), dtype=bool)
+        x, y = self._map[..., 0], self._map[..., 1]
+        # The sensor ends half a pixel beyond the outermost pixel centres.
+        on_sensor = (x >= -0.5) & (x <= cam.width - 0.5) & (y >= -0.5) & (y <= cam.height - 0.5)
+        return on_sensor & (self._radius() < _fold_radius(cam))
+
+    def apply(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Undistort `[H, W]` or `[H, W, C]` float32, bilinearly; pixels outside `mask` repeat the border.
+
+        Without distortion the image comes back as it is, not resampled.
+        """
+        if image.shape[:2] != (self.camera.height, self.camera.width):
+            raise ValueError(f"image is {image.shape[1]}×{image.shape[0]}, camera {self.camera.width}×{self.camera.height}")
+        if not self.camera.has_distortion:
+            return image
+        x, y = self._map[..., 0], self._map[..., 1]
+        # OpenCV 5 interpolates float32 exactly; 4.x rounds where it reads to 1/32 pixel.
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32)
+
+    def _radius(self) -> NDArray[np.float64]:
+        """`[H, W]`: tangent of the angle between each undistorted pixel's ray and the optical axis."""
+        cam = self.camera
+        x = (np.arange(cam.width) + 0.5 - cam.cx) / cam.fl_x
+        y = (np.arange(cam.height) + 0.5 - cam.cy) / cam.fl_y
+        return np.hypot(x[None, :], y[:, None])
+
+
+def _fold_radius(camera: Camera) -> float:
+    """Undistorted radius (tangent of the ray's angle) where the radial polynomial turns back; infinity if it never does.
+
+    Beyond it two rays share a pixel and the model, fitted inside the image, says nothing.
+    """
+    if camera.model == "OPENCV_FISHEYE":  # dθ_d/dθ as a polynomial in θ²
+        slope = [9 * camera.k4, 7 * camera.k3, 5 * camera.k2, 3 * camera.k1, 1.0]
+    else:  # dr_d/dr as a polynomial in r²
+        slope = [5 * camera.k2, 3 * camera.k1, 1.0]
+    roots = np.roots(slope)
+    squared = roots[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)].real
+    if squared.size == 0:
+        return float("inf")
+    first = float(np.sqrt(squared.min()))
+    if camera.model == "OPENCV_FISHEYE":
+        return float(np.tan(first)) if first < np.pi / 2 else float("inf")
+    return first

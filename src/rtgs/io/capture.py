@@ -1,0 +1,180 @@
+"""A capture folder: images, rig, and poses where it has them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rtgs.camera import Camera, Undistortion
+from rtgs.errors import RtgsError
+from rtgs.geometry import SE3
+from rtgs.io.colmap import read_sparse
+from rtgs.io.images import ImageHeader, check_counts_mode, list_images, read_counts, read_header, read_rgb
+from rtgs.io.rig import read_rig
+from rtgs.io.transforms import read_transforms
+from rtgs.radiometry import CountsToCelsius
+from rtgs.scene import Capture, Frame, Poses, Rig
+
+MIN_FRAMES = 3
+_INTRINSICS_TOLERANCE = 0.01
+
+
+def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
+    """Load, check and undistort a capture folder.
+
+    Everything that can be checked without decoding pixels is checked first. RGB is undistorted at full resolution and then
+    averaged down; thermal keeps its size.
+
+    Args:
+        root: the folder, with `rgb/`, `thermal/`, `rig.json` and optionally poses in `sparse/0` or `transforms.json`.
+        rgb_max_side: RGB images are made no longer than this many pixels; smaller ones are left as they are.
+
+    Returns:
+        The capture: RGB in [0, 1], thermal in °C, or in counts where `rig.json` gives no radiometry.
+
+    Raises:
+        RtgsError: anything wrong with the folder, by file and field.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise RtgsError(f"{root}: no such folder. A capture holds rgb/, thermal/ and rig.json.")
+    if rgb_max_side < 1:
+        raise RtgsError(f"rgb_max_side is {rgb_max_side}; it is a number of pixels above 0.")
+    rig_file = read_rig(root / "rig.json")
+    warnings = list(rig_file.warnings)
+    rgb_files, thermal_files = _paired_files(root)
+    rgb_headers = [read_header(path) for path in rgb_files.values()]
+    thermal_headers = [read_header(path) for path in thermal_files.values()]
+    for header in thermal_headers:
+        check_counts_mode(header)
+    raw_rig = rig_file.rig
+    _check_sizes(root / "rig.json", "rgb", raw_rig.rgb, rgb_headers)
+    _check_sizes(root / "rig.json", "thermal", raw_rig.thermal, thermal_headers)
+    camera, poses = _read_poses(root, raw_rig.rgb, list(rgb_files), warnings)
+    raw_rig = replace(raw_rig, rgb=camera)
+
+    rgb_undistortion, thermal_undistortion = Undistortion(raw_rig.rgb), Undistortion(raw_rig.thermal)
+    rgb_size = _size_within(raw_rig.rgb, rgb_max_side)
+    rgb_mask = _shrink(rgb_undistortion.mask.astype(np.float32), rgb_size) > 1 - 1e-4  # every averaged pixel is valid
+
+    def load(name: str) -> Frame:
+        rgb = _shrink(rgb_undistortion.apply(read_rgb(rgb_files[name])), rgb_size)
+        thermal = _temperatures(read_counts(thermal_files[name]), rig_file.radiometry)
+        return Frame(name, rgb, thermal_undistortion.apply(thermal))
+
+    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
+        try:
+            frames = tuple(pool.map(load, rgb_files))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return Capture(
+        root=root,
+        raw_rig=raw_rig,
+        rig=Rig(raw_rig.rgb.pinhole().resized(*rgb_size), raw_rig.thermal.pinhole(), raw_rig.rgb_from_thermal),
+        frames=frames,
+        rgb_mask=rgb_mask,
+        thermal_mask=thermal_undistortion.mask,
+        thermal_unit="relative" if rig_file.radiometry is None else "celsius",
+        poses=poses,
+        warnings=tuple(warnings),
+    )
+
+
+def _paired_files(root: Path) -> tuple[dict[str, Path], dict[str, Path]]:
+    rgb, thermal = list_images(root / "rgb"), list_images(root / "thermal")
+    for here, there, files, partners in (("rgb", "thermal", rgb, thermal), ("thermal", "rgb", thermal, rgb)):
+        alone = sorted(set(files) - set(partners))
+        if alone:
+            more = f" and {len(alone) - 5} more" if len(alone) > 5 else ""
+            raise RtgsError(
+                f"{root}: {len(alone)} of {len(files)} images in {here}/ have no partner of the same name in {there}/: "
+                f"{', '.join(alone[:5])}{more}. Add the partners or remove these."
+            )
+    if len(rgb) < MIN_FRAMES:
+        raise RtgsError(f"{root}: holds {len(rgb)} image pairs; at least {MIN_FRAMES} are needed, and a few dozen are usual.")
+    return rgb, thermal
+
+
+def _check_sizes(path: Path, which: str, camera: Camera, headers: list[ImageHeader]) -> None:
+    for header in headers:
+        if (header.width, header.height) != (camera.width, camera.height):
+            turned = " (as shown, after its EXIF orientation)" if header.orientation != 1 else ""
+            raise RtgsError(
+                f"{path}: {which}.width and height say {camera.width}×{camera.height}, but {header.path} is "
+                f"{header.width}×{header.height}{turned}. Intrinsics belong to one image size: correct them or the images."
+            )
+
+
+def _read_poses(root: Path, calibrated: Camera, names: list[str], warnings: list[str]) -> tuple[Camera, Poses | None]:
+    """The RGB camera that counts, and the poses of frames that exist. `sparse/0` wins over `transforms.json`: it has points."""
+    sparse, transforms = root / "sparse" / "0", root / "transforms.json"
+    if (root / "sparse").is_dir() and not sparse.is_dir():
+        warnings.append("sparse/ has no folder 0 and was ignored; a COLMAP model is expected in sparse/0.")
+    camera: Camera | None
+    if sparse.is_dir():
+        if transforms.is_file():
+            warnings.append("sparse/0 and transforms.json are both present; sparse/0 is used, because it has points.")
+        source = sparse
+        camera, poses = read_sparse(sparse)
+    elif transforms.is_file():
+        source = transforms
+        camera, world_from_rgb = read_transforms(transforms, (calibrated.width, calibrated.height))
+        poses = Poses(world_from_rgb, None)
+    else:
+        return calibrated, None
+    known = {name: pose for name, pose in poses.world_from_rgb.items() if name in set(names)}
+    if len(known) < MIN_FRAMES:
+        raise RtgsError(
+            f"{source}: gives poses for {len(known)} of the {len(names)} images in rgb/; at least {MIN_FRAMES} are needed. "
+            "Image names are compared without folder and suffix. Remove the poses to run structure from motion instead."
+        )
+    if len(known) < len(poses.world_from_rgb):
+        extra = len(poses.world_from_rgb) - len(known)
+        warnings.append(f"{source.relative_to(root)}: {extra} of its poses belong to no image in rgb/ and were ignored.")
+    _check_centres(source, known)
+    if camera is None:
+        return calibrated, Poses(known, poses.points)
+    if (camera.width, camera.height) != (calibrated.width, calibrated.height):
+        raise RtgsError(
+            f"{source}: its camera is {camera.width}×{camera.height}, but the images in rgb/ are "
+            f"{calibrated.width}×{calibrated.height}. Use the images that the poses were computed from."
+        )
+    _compare(source.relative_to(root), camera, calibrated, warnings)
+    return camera, Poses(known, poses.points)
+
+
+def _check_centres(source: Path, world_from_rgb: Mapping[str, SE3]) -> None:
+    centres = np.stack([pose.translation for pose in world_from_rgb.values()])
+    if np.ptp(centres, axis=0).max() <= 1e-9 * max(1.0, np.abs(centres).max()):
+        raise RtgsError(f"{source}: all camera positions coincide, so depth cannot be seen. The camera has to move.")
+
+
+def _compare(source: Path, camera: Camera, calibrated: Camera, warnings: list[str]) -> None:
+    """Warn when the intrinsics that came with the poses are far from `rig.json`'s."""
+    sizes = {"fl_x": calibrated.fl_x, "fl_y": calibrated.fl_y, "cx": calibrated.width, "cy": calibrated.height}
+    far = [n for n, size in sizes.items() if abs(getattr(camera, n) - getattr(calibrated, n)) > _INTRINSICS_TOLERANCE * size]
+    if far:
+        said = ", ".join(f"{n} {getattr(camera, n):.1f} and {getattr(calibrated, n):.1f}" for n in far)
+        warnings.append(f"RGB intrinsics of {source} and rig.json differ by more than 1 % ({said}); those of {source} are used.")
+
+
+def _temperatures(counts: NDArray[np.generic], radiometry: CountsToCelsius | None) -> NDArray[np.float32]:
+    return counts.astype(np.float32) if radiometry is None else radiometry.celsius(counts)
+
+
+def _size_within(camera: Camera, max_side: int) -> tuple[int, int]:
+    factor = min(1.0, max_side / max(camera.width, camera.height))
+    return max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+
+
+def _shrink(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Average down to `size` = (width, height); the same array where it already has that size."""
+    return image if image.shape[1::-1] == size else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -1,0 +1,202 @@
+"""COLMAP models: poses that come with a capture (`sparse/0`), and a run's `scene/` folder.
+
+COLMAP stores `camera_from_world`; records here hold `world_from_rgb`, inverted at this border.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from rtgs.camera import DISTORTION_OF_MODEL, Camera
+from rtgs.errors import RtgsError
+from rtgs.geometry import SE3, quat_from_rotation, rotation_from_quat
+from rtgs.io.images import frame_name, in_thermal_folder
+from rtgs.scene import Capture, Poses, Scene, SparsePoints
+
+RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID = 1, 2, 1
+_FAILURES = "failures.json"
+
+
+@contextmanager
+def quiet_colmap() -> Iterator[None]:
+    """Silence COLMAP's log, errors included: what goes wrong is raised, and said once."""
+    logging = pycolmap.logging
+    before = (logging.minloglevel, logging.stderrthreshold, logging.alsologtostderr)
+    logging.minloglevel, logging.stderrthreshold, logging.alsologtostderr = 3, 3, False
+    try:
+        yield
+    finally:
+        logging.minloglevel, logging.stderrthreshold, logging.alsologtostderr = before
+
+
+def read_sparse(folder: Path) -> tuple[Camera, Poses]:
+    """Read a COLMAP model of the RGB images, binary or text.
+
+    Images in a folder `thermal` are passed over: the rig gives their poses.
+
+    Returns:
+        The RGB camera with its lens, and `world_from_rgb` by frame name with the points (those of finite position).
+
+    Raises:
+        RtgsError: unreadable, no registered image, several cameras, a camera model that isn't known, a pose that isn't finite.
+    """
+    model = _read_model(folder)
+    images = [image for image in model.images.values() if image.has_pose and not in_thermal_folder(image.name)]
+    if not images:
+        raise RtgsError(f"{folder}: holds no registered RGB image. Remove the folder to run structure from motion instead.")
+    cameras = [_camera_from_colmap(folder, model.cameras[i]) for i in sorted({image.camera_id for image in images})]
+    if any(camera != cameras[0] for camera in cameras):
+        raise RtgsError(
+            f"{folder}: the RGB images have {len(cameras)} different cameras, and one is expected. Run COLMAP with "
+            "--ImageReader.single_camera 1."
+        )
+    world_from_rgb: dict[str, SE3] = {}
+    for image in sorted(images, key=lambda image: image.name):
+        name = frame_name(image.name)
+        if name in world_from_rgb:
+            raise RtgsError(f"{folder}: two images are named {name!r} (without folder and suffix). Keep one pose for each image.")
+        rgb_from_world = se3_from_rigid3d(image.cam_from_world())
+        if not (np.isfinite(rgb_from_world.rotation).all() and np.isfinite(rgb_from_world.translation).all()):
+            raise RtgsError(f"{folder}: the pose of image {image.name} holds NaN or infinity. Remove the image from the model.")
+        world_from_rgb[name] = rgb_from_world.inverse()
+    return cameras[0], Poses(world_from_rgb, points_from_colmap(model))
+
+
+def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
+    """Write a run's `scene/` folder: a binary COLMAP model of the undistorted cameras.
+
+    RGB (the rig's reference) and thermal are one rig; each registered frame is a rig frame with images `rgb/NAME.png` and
+    `thermal/NAME.png`. While the scale is unknown the thermal camera stands in the rig without a pose, and frames hold RGB alone.
+    `failures.json` lists the frames that weren't registered. Point colours are stored in 8 bits.
+
+    Args:
+        path: folder, made if needed.
+        scene: what to write.
+        sfm_per_metre: SfM units per metre, for the thermal camera's place in the rig; None when unknown.
+    """
+    model = pycolmap.Reconstruction()
+    rgb = colmap_camera(scene.rig.rgb, RGB_CAMERA_ID)
+    thermal = colmap_camera(scene.rig.thermal, THERMAL_CAMERA_ID)
+    model.add_camera(rgb)
+    model.add_camera(thermal)
+    rig = pycolmap.Rig(rig_id=RIG_ID)
+    rig.add_ref_sensor(rgb.sensor_id)
+    thermal_from_rgb = None
+    if sfm_per_metre is not None:
+        thermal_from_rgb = rigid3d_from_se3(scene.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre).inverse())
+    rig.add_sensor(thermal.sensor_id, thermal_from_rgb)
+    model.add_rig(rig)
+    sensors = [("rgb", rgb)] + ([("thermal", thermal)] if sfm_per_metre is not None else [])
+    for i, name in enumerate(sorted(scene.world_from_rgb)):
+        images = [
+            pycolmap.Image(name=f"{folder}/{name}.png", camera_id=camera.camera_id, image_id=1 + 2 * i + k)
+            for k, (folder, camera) in enumerate(sensors)
+        ]
+        frame = pycolmap.Frame(frame_id=1 + i, rig_id=RIG_ID, rig_from_world=rigid3d_from_se3(scene.rgb_from_world(name)))
+        for image in images:
+            frame.add_data_id(image.data_id)
+        model.add_frame(frame)
+        for image in images:
+            image.frame_id = frame.frame_id
+            model.add_image(image)
+        model.register_frame(frame.frame_id)
+    colours = np.round(np.clip(scene.points.rgb, 0, 1) * 255).astype(np.uint8)
+    for xyz, colour in zip(scene.points.xyz, colours, strict=True):
+        model.add_point3D(xyz, pycolmap.Track(), colour)
+    path.mkdir(parents=True, exist_ok=True)
+    with quiet_colmap():
+        model.write_binary(path)
+    failures = {name: scene.failures[name] for name in sorted(scene.failures)}
+    (path / _FAILURES).write_text(json.dumps(failures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_scene(path: Path, capture: Capture) -> Scene:
+    """Read what `write_scene` wrote, so that a run goes on without structure from motion.
+
+    Raises:
+        RtgsError: unreadable, or made from another capture (a frame or the RGB intrinsics differ).
+    """
+    camera, poses = read_sparse(path)
+    here = capture.rig.rgb
+    theirs = camera.resized(here.width, here.height)  # a run may be resumed at another image size
+    if not np.allclose(theirs.matrix, here.matrix, rtol=1e-3, atol=1.0):
+        raise RtgsError(f"{path}: was made with other RGB intrinsics than {capture.root} has now. Remove the folder to redo it.")
+    strangers = sorted(set(poses.world_from_rgb) - {frame.name for frame in capture.frames})
+    if strangers:
+        raise RtgsError(
+            f"{path}: frame {strangers[0]!r} is not in {capture.root}. Remove the folder to redo structure from motion."
+        )
+    try:
+        failures = json.loads((path / _FAILURES).read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise RtgsError(f"{path / _FAILURES}: cannot be read. Remove the folder {path} to redo structure from motion.") from error
+    assert poses.points is not None
+    return Scene(capture, poses.world_from_rgb, poses.points, failures)
+
+
+def colmap_camera(camera: Camera, camera_id: int) -> pycolmap.Camera:
+    """COLMAP's record of a camera, calibrated (its focal length is a prior to trust)."""
+    focal = [camera.fl_x] if camera.model.startswith("SIMPLE") else [camera.fl_x, camera.fl_y]
+    if camera.model == "RADIAL":  # one focal length too, despite its name
+        focal = [camera.fl_x]
+    params = [*focal, camera.cx, camera.cy, *camera.distortion]
+    return pycolmap.Camera(
+        camera_id=camera_id,
+        model=camera.model,
+        width=camera.width,
+        height=camera.height,
+        params=params,
+        has_prior_focal_length=True,
+    )
+
+
+def points_from_colmap(model: pycolmap.Reconstruction) -> SparsePoints:
+    """The model's points in order of their ids, those of finite position."""
+    points = [model.points3D[i] for i in sorted(model.points3D)]
+    xyz = np.array([p.xyz for p in points], dtype=np.float64).reshape(-1, 3)
+    rgb = np.array([p.color for p in points], dtype=np.float32).reshape(-1, 3) / np.float32(255)
+    finite = np.isfinite(xyz).all(axis=1)
+    return SparsePoints(xyz[finite], rgb[finite])
+
+
+def se3_from_rigid3d(rigid: pycolmap.Rigid3d) -> SE3:
+    """The same `a_from_b`."""
+    x, y, z, w = rigid.rotation.quat  # COLMAP's Python side has the scalar last
+    return SE3(rotation_from_quat([w, x, y, z]), np.array(rigid.translation, dtype=np.float64))
+
+
+def rigid3d_from_se3(transform: SE3) -> pycolmap.Rigid3d:
+    """The same `a_from_b`."""
+    w, x, y, z = quat_from_rotation(transform.rotation)
+    return pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([x, y, z, w])), np.asarray(transform.translation, dtype=np.float64))
+
+
+def _read_model(folder: Path) -> pycolmap.Reconstruction:
+    try:
+        with quiet_colmap():
+            return pycolmap.Reconstruction(str(folder))
+    except (ValueError, RuntimeError, OSError, IndexError) as error:
+        cause = str(error).split("] ", 1)[-1].strip()
+        raise RtgsError(f"{folder}: is not a COLMAP model that can be read ({cause}). Export it again or remove it.") from error
+
+
+def _camera_from_colmap(folder: Path, camera: pycolmap.Camera) -> Camera:
+    model = camera.model_name
+    if model not in DISTORTION_OF_MODEL:
+        raise RtgsError(f"{folder}: camera model {model} is not known. It is one of {', '.join(DISTORTION_OF_MODEL)}.")
+    params = [float(p) for p in camera.params]
+    if not np.isfinite(params).all():
+        raise RtgsError(f"{folder}: the intrinsics of camera {camera.camera_id} hold NaN or infinity. Export the model again.")
+    n_focal = len(camera.focal_length_idxs())
+    cx, cy = params[n_focal : n_focal + 2]
+    lens = dict(zip(DISTORTION_OF_MODEL[model], params[n_focal + 2 :], strict=True))
+    fl_x, fl_y = params[0], params[n_focal - 1]
+    if min(fl_x, fl_y) <= 0:
+        raise RtgsError(f"{folder}: camera {camera.camera_id} has focal length {min(fl_x, fl_y):g}; it is above 0 pixels.")
+    return Camera(model, camera.width, camera.height, fl_x, fl_y, cx, cy, **lens)

@@ -1,0 +1,221 @@
+"""`rig.json`: both cameras, the transform between them, and the thermal camera's radiometry."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtgs.camera import DISTORTION_OF_MODEL, Camera
+from rtgs.errors import RtgsError
+from rtgs.geometry import SE3, is_rotation, nearest_rotation
+from rtgs.radiometry import CENTIKELVIN, CountsToCelsius
+from rtgs.scene import Rig
+
+_SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
+_LENS_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")
+_RADIOMETRY = ("celsius_per_count", "celsius_offset", "unit")
+_LONG_BASELINE_M = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class RigFile:
+    """What `rig.json` says.
+
+    Attributes:
+        rig: cameras with their lenses; translation in metres.
+        radiometry: None when the file gives none: counts are relative intensity then.
+        warnings: fields that were not understood, an implausible baseline.
+    """
+
+    rig: Rig
+    radiometry: CountsToCelsius | None
+    warnings: tuple[str, ...] = ()
+
+
+def read_rig(path: Path) -> RigFile:
+    """Read and check `rig.json`.
+
+    Raises:
+        RtgsError: the file is missing or isn't JSON; a field is missing or has a wrong value; the transform isn't rigid; the
+            baseline is zero.
+    """
+    data = read_json_object(path, missing="It holds both cameras and the transform between them.")
+    warnings: list[str] = []
+    rgb = camera_from_json(path, "rgb", _member(path, data, "rgb"), warnings)
+    thermal_data = _member(path, data, "thermal")
+    thermal = camera_from_json(path, "thermal", thermal_data, warnings, more_fields=_RADIOMETRY)
+    radiometry = _radiometry(path, thermal_data)
+    rgb_from_thermal = _rig_transform(path, data)
+    unknown = sorted(set(data) - {"rgb", "thermal", "thermal_from_rgb", "rgb_from_thermal"})
+    if unknown:
+        warnings.append(f"{path.name}: {', '.join(unknown)} is not a known field and was ignored.")
+    rig = Rig(rgb, thermal, rgb_from_thermal)
+    if rig.baseline_m > _LONG_BASELINE_M:
+        warnings.append(
+            f"{path.name}: the baseline is {rig.baseline_m:g} m. Translations are in metres; is this one in millimetres?"
+        )
+    return RigFile(rig, radiometry, tuple(warnings))
+
+
+def write_rig(path: Path, rig: Rig, radiometry: CountsToCelsius | None) -> None:
+    """Write `rig.json` so that `read_rig` gives the same records."""
+    thermal = _camera_to_json(rig.thermal)
+    if radiometry is not None:
+        thermal |= {"celsius_per_count": radiometry.celsius_per_count, "celsius_offset": radiometry.celsius_offset}
+    data = {"rgb": _camera_to_json(rig.rgb), "thermal": thermal, "rgb_from_thermal": rig.rgb_from_thermal.matrix().tolist()}
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def read_json_object(path: Path, *, missing: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+        RtgsError: no such file (with the sentence `missing`), not JSON, or not an object.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError as error:
+        raise RtgsError(f"{path}: no such file. {missing}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise RtgsError(f"{path}: is not valid JSON ({error}).") from error
+    if not isinstance(data, dict):
+        raise RtgsError(f"{path}: holds {type(data).__name__} where a JSON object {{…}} is expected.")
+    return data
+
+
+def camera_from_json(
+    path: Path, where: str, data: Mapping[str, Any], warnings: list[str], *, more_fields: tuple[str, ...] = ()
+) -> Camera:
+    """A camera from its JSON fields; `where` prefixes their names in messages, unknown ones are added to `warnings`.
+
+    Raises:
+        RtgsError: unknown model, missing field, or a value that isn't a finite number of the right sign.
+    """
+    model = data.get("model")
+    if model is None:
+        raise RtgsError(f"{path}: {where}.model is missing. It is one of {', '.join(DISTORTION_OF_MODEL)}.")
+    if model not in DISTORTION_OF_MODEL:
+        raise RtgsError(f"{path}: {where}.model is {model!r}, which is not known. It is one of {', '.join(DISTORTION_OF_MODEL)}.")
+    terms = DISTORTION_OF_MODEL[model]
+    values = {name: finite_number(path, f"{where}.{name}", data, name) for name in _SIZE_AND_PINHOLE}
+    for name in terms:
+        if name not in data:
+            raise RtgsError(
+                f"{path}: {where}.{name} is missing. {model} has the terms {', '.join(terms)}; write 0 for one that is not used."
+            )
+        values[name] = finite_number(path, f"{where}.{name}", data, name)
+    for name in ("width", "height"):
+        if values[name] != int(values[name]) or values[name] <= 0:
+            raise RtgsError(f"{path}: {where}.{name} is {values[name]:g}; it is a number of pixels, a whole number above 0.")
+    for name in ("fl_x", "fl_y"):
+        if values[name] <= 0:
+            raise RtgsError(f"{path}: {where}.{name} is {values[name]:g}; a focal length is above 0 pixels.")
+    if model.startswith("SIMPLE") and not math.isclose(values["fl_x"], values["fl_y"], rel_tol=1e-9):
+        raise RtgsError(f"{path}: {where}.fl_x and fl_y differ, and {model} has one focal length. Use {model[7:]} instead.")
+    for name in _LENS_TERMS:
+        if name not in terms and data.get(name, 0) != 0:
+            fitting = [m for m, t in DISTORTION_OF_MODEL.items() if name in t]
+            raise RtgsError(
+                f"{path}: {where}.{name} is given, but {model} has no such term. Models that have: {', '.join(fitting)}."
+            )
+    unknown = sorted(set(data) - {"model", *_SIZE_AND_PINHOLE, *_LENS_TERMS, *more_fields})
+    if unknown:
+        warnings.append(f"{path.name}: {', '.join(f'{where}.{u}' for u in unknown)} is not a known field and was ignored.")
+    width, height = int(values.pop("width")), int(values.pop("height"))
+    return Camera(model=model, width=width, height=height, **values)
+
+
+def finite_number(path: Path, field: str, data: Mapping[str, Any], key: str) -> float:
+    """`data[key]` as a finite float; `field` is its name in messages.
+
+    Raises:
+        RtgsError: missing, not a number, NaN or infinite.
+    """
+    if key not in data:
+        raise RtgsError(f"{path}: {field} is missing.")
+    value = data[key]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise RtgsError(f"{path}: {field} is {value!r}; a finite number is expected.")
+    return float(value)
+
+
+def rigid_from_json(path: Path, field: str, value: Any) -> SE3:
+    """A rigid transform from nested lists, 4×4, its rotation taken to the nearest orthonormal one.
+
+    Raises:
+        RtgsError: wrong shape, not finite, bottom row not 0 0 0 1, or no rotation.
+    """
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape != (4, 4):
+        raise RtgsError(f"{path}: {field} is not a 4×4 matrix of numbers (four rows of four).")
+    if not np.isfinite(matrix).all():
+        raise RtgsError(f"{path}: {field} holds NaN or infinity.")
+    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
+        raise RtgsError(
+            f"{path}: the bottom row of {field} is {matrix[3].tolist()}, not [0, 0, 0, 1]. Is the matrix transposed? "
+            "The translation belongs in the last column."
+        )
+    if not is_rotation(matrix[:3, :3]):
+        raise RtgsError(
+            f"{path}: the upper left 3×3 of {field} is no rotation (orthonormal, determinant +1; here determinant "
+            f"{np.linalg.det(matrix[:3, :3]):.4g}). Axes are x right, y down, z forward; no scale, no mirroring."
+        )
+    return SE3(nearest_rotation(matrix[:3, :3]), matrix[:3, 3].copy())
+
+
+def _rig_transform(path: Path, data: Mapping[str, Any]) -> SE3:
+    given = [key for key in ("thermal_from_rgb", "rgb_from_thermal") if key in data]
+    if len(given) != 1:
+        said = "both are" if given else "neither is"
+        raise RtgsError(f"{path}: exactly one of thermal_from_rgb and rgb_from_thermal is expected, and {said} given.")
+    transform = rigid_from_json(path, given[0], data[given[0]])
+    if np.linalg.norm(transform.translation) < 1e-9:
+        raise RtgsError(
+            f"{path}: the translation of {given[0]} is zero. Scale comes from the distance between the two cameras: "
+            "give the baseline in metres."
+        )
+    return transform if given[0] == "rgb_from_thermal" else transform.inverse()
+
+
+def _radiometry(path: Path, thermal: Mapping[str, Any]) -> CountsToCelsius | None:
+    linear = [key for key in ("celsius_per_count", "celsius_offset") if key in thermal]
+    if "unit" in thermal:
+        if linear:
+            raise RtgsError(f"{path}: thermal.unit and thermal.{linear[0]} are both given, and each defines °C. Keep one.")
+        if thermal["unit"] != "centikelvin":
+            raise RtgsError(
+                f"{path}: thermal.unit is {thermal['unit']!r}; 'centikelvin' is the only one. Otherwise give "
+                "celsius_per_count and celsius_offset (1 and 0 for images in °C)."
+            )
+        return CENTIKELVIN
+    if not linear:
+        return None
+    radiometry = CountsToCelsius(
+        finite_number(path, "thermal.celsius_per_count", thermal, "celsius_per_count"),
+        finite_number(path, "thermal.celsius_offset", thermal, "celsius_offset"),
+    )
+    if radiometry.celsius_per_count <= 0:
+        raise RtgsError(f"{path}: thermal.celsius_per_count is {radiometry.celsius_per_count:g}; it is above 0.")
+    return radiometry
+
+
+def _member(path: Path, data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    if key not in data:
+        raise RtgsError(f"{path}: {key} is missing; it holds that camera's model, size and intrinsics.")
+    if not isinstance(data[key], dict):
+        raise RtgsError(f"{path}: {key} is not an object {{…}} of camera fields.")
+    return data[key]
+
+
+def _camera_to_json(camera: Camera) -> dict[str, Any]:
+    names = ("model", *_SIZE_AND_PINHOLE, *DISTORTION_OF_MODEL[camera.model])
+    return {name: getattr(camera, name) for name in names}

@@ -1,0 +1,110 @@
+"""`transforms.json`, nerfstudio's form: OpenGL camera-to-world poses and one set of intrinsics.
+
+OpenGL's camera looks along −z with y up; it is turned to OpenCV's axes here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtgs.camera import DISTORTION_OF_MODEL, Camera
+from rtgs.errors import RtgsError
+from rtgs.geometry import SE3
+from rtgs.io.images import frame_name, in_thermal_folder
+from rtgs.io.rig import camera_from_json, finite_number, read_json_object, rigid_from_json
+
+_INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x", "camera_angle_y")
+_OPENGL_FROM_OPENCV = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+
+
+def read_transforms(path: Path, image_size: tuple[int, int]) -> tuple[Camera | None, dict[str, SE3]]:
+    """Read RGB poses.
+
+    Args:
+        path: the file.
+        image_size: width and height of the RGB images, for files that give only `camera_angle_x`.
+
+    Returns:
+        The camera with its lens, or None when the file gives no intrinsics, and `world_from_rgb` by frame name (OpenCV axes, the
+        file's own unit). Frames in a folder `thermal` are passed over.
+
+    Raises:
+        RtgsError: a frame without path or pose, a pose that isn't rigid and finite, two poses for one frame, several cameras.
+    """
+    data = read_json_object(path, missing="It holds the RGB poses.")
+    frames = data.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise RtgsError(f"{path}: frames is missing or empty; it lists file_path and transform_matrix of each RGB image.")
+    world_from_rgb: dict[str, SE3] = {}
+    shared: dict[str, Any] = {}
+    for i, frame in enumerate(frames):
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise RtgsError(f"{path}: frames[{i}].file_path is missing.")
+        if in_thermal_folder(frame["file_path"]):
+            continue
+        name = frame_name(frame["file_path"])
+        if name in world_from_rgb:
+            raise RtgsError(f"{path}: frames[{i}].file_path names {name!r} a second time. Keep one pose for each image.")
+        if "transform_matrix" not in frame:
+            raise RtgsError(f"{path}: frames[{i}].transform_matrix is missing ({name}). Remove the frame if it has no pose.")
+        matrix = frame["transform_matrix"]
+        if isinstance(matrix, list) and len(matrix) == 3:
+            matrix = [*matrix, [0.0, 0.0, 0.0, 1.0]]
+        world_from_opengl = rigid_from_json(path, f"frames[{i}].transform_matrix ({name})", matrix)
+        world_from_rgb[name] = world_from_opengl @ _OPENGL_FROM_OPENCV
+        for key in (*_INTRINSICS, "w", "h", "camera_model"):
+            if key in frame and shared.setdefault(key, frame[key]) != frame[key]:
+                raise RtgsError(f"{path}: {key} differs between frames. One RGB camera with one set of intrinsics is expected.")
+    return _camera(path, {**shared, **{k: v for k, v in data.items() if k != "frames"}}, image_size), world_from_rgb
+
+
+def write_transforms(path: Path, camera: Camera, world_from_rgb: Mapping[str, SE3], file_paths: Mapping[str, str]) -> None:
+    """Write poses as nerfstudio reads them.
+
+    Args:
+        path: target.
+        camera: RGB camera, with or without its lens.
+        world_from_rgb: by frame name, OpenCV axes.
+        file_paths: each frame's image, relative to the folder of `path`.
+    """
+    terms = {name: getattr(camera, name) for name in DISTORTION_OF_MODEL[camera.model]}
+    head = {"camera_model": camera.model, "w": camera.width, "h": camera.height}
+    head |= {"fl_x": camera.fl_x, "fl_y": camera.fl_y, "cx": camera.cx, "cy": camera.cy, **terms}
+    frames = [
+        {"file_path": file_paths[name], "transform_matrix": (pose @ _OPENGL_FROM_OPENCV).matrix().tolist()}
+        for name, pose in sorted(world_from_rgb.items())
+    ]
+    path.write_text(json.dumps({**head, "frames": frames}, indent=1) + "\n", encoding="utf-8")
+
+
+def _camera(path: Path, data: Mapping[str, Any], image_size: tuple[int, int]) -> Camera | None:
+    given = {key: finite_number(path, key, data, key) for key in _INTRINSICS if key in data}
+    width = int(finite_number(path, "w", data, "w")) if "w" in data else image_size[0]
+    height = int(finite_number(path, "h", data, "h")) if "h" in data else image_size[1]
+    fl_x = given["fl_x"] if "fl_x" in given else _focal(path, given, "camera_angle_x", width)
+    if fl_x is None:
+        return None
+    fl_y = given["fl_y"] if "fl_y" in given else _focal(path, given, "camera_angle_y", height)
+    fl_y = fl_x if fl_y is None else fl_y
+    lens = {key: value for key, value in given.items() if key[0] in "kp" and value != 0.0}
+    model = data.get("camera_model") or ("OPENCV" if lens else "PINHOLE")
+    if model == "PERSPECTIVE":  # nerfstudio's own name, with OPENCV's terms
+        model = "OPENCV" if lens else "PINHOLE"
+    terms = {name: given.get(name, 0.0) for name in DISTORTION_OF_MODEL.get(model, ())}  # the format leaves zeros out
+    fields = {**lens, **terms, "model": model, "width": width, "height": height, "fl_x": fl_x, "fl_y": fl_y}
+    fields |= {"cx": given.get("cx", width / 2), "cy": given.get("cy", height / 2)}
+    return camera_from_json(path, "camera", fields, [])
+
+
+def _focal(path: Path, given: Mapping[str, float], key: str, size: int) -> float | None:
+    if key not in given:
+        return None
+    if not 0 < given[key] < math.pi:
+        raise RtgsError(f"{path}: {key} is {given[key]:g}; it is the field of view in radians, between 0 and π.")
+    return size / 2 / math.tan(given[key] / 2)
