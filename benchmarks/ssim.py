@@ -1,5 +1,5 @@
-"""Fused SSIM against two torch conv2d SSIMs in the same run, one thread unless told otherwise: the separable `reference_ssim`, and the
-full 11 × 11 window that 3DGS-style training code uses.
+"""Fused SSIM against two torch conv2d SSIMs in the same run, one thread unless told otherwise: the separable `reference_ssim`,
+and the full 11 × 11 window that 3DGS-style training code uses.
 
     python benchmarks/ssim.py [--width 960 --height 540 --channels 3 --threads 1 --repeats 10]
 

@@ -5,9 +5,9 @@ Gaussian window (σ = 1.5 px) and data range 1:
 
     S = (2 μa μb + C1)(2 σab + C2) / ((μa² + μb² + C1)(σa² + σb² + C2)),    C1 = 0.01², C2 = 0.03².
 
-**Borders.** Only windows that lie wholly inside the image count, so the map is `[H − 10, W − 10]`. torchmetrics' map has the same values
-there, and around them a frame that it makes up by reflection; 3DGS's own loss zero-pads, which compares invented black frames. Border
-pixels still receive gradient here, from the windows that reach them.
+**Borders.** Only windows that lie wholly inside the image count, so the map is `[H − 10, W − 10]`. torchmetrics' map has the same
+values there, and around them a frame that it makes up by reflection; 3DGS's own loss zero-pads, which compares invented black
+frames. Border pixels still receive gradient here, from the windows that reach them.
 
 **Letters.** With window weights w, μa = w∗a, E[aa] = w∗a², E[ab] = w∗(a·b), σa² = E[aa] − μa², σab = E[ab] − μa μb.
 `reference_ssim` is the specification in plain torch; the Numba kernels are tested against it.
@@ -45,8 +45,8 @@ def ssim(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
     Args:
         a: `[H, W, C]` in [0, 1], H and W at least 11; the image that is fitted.
         b: `[H, W, C]`, the target. **It gets no gradient**, whether or not it asks for one.
-        mask: `[H, W]` bool. The mean is then over the windows *centred* on a true pixel (and inside the image). Windows reach 5 px
-            around their centre; `whole_windows(mask)` keeps the centres whose window sees true pixels only.
+        mask: `[H, W]` bool. The mean is then over the windows *centred* on a true pixel (and inside the image). Windows reach
+            5 px around their centre; `whole_windows(mask)` keeps the centres whose window sees true pixels only.
 
     Returns:
         Scalar tensor of `a`'s dtype, in [−1, 1]; 1 for equal images.
@@ -127,7 +127,7 @@ class _FusedSsim(torch.autograd.Function):
         row_sums = np.empty(height - 2 * RADIUS_PX)
         if ctx.needs_input_grad[0]:
             gradient = torch.empty_like(a, memory_format=torch.contiguous_format)
-            # Slopes with respect to μa, E[aa], E[ab], in a zero frame: the adjoint of a 'valid' filter is the same filter on the framed map.
+            # ∂S/∂(μa, E[aa], E[ab]) in a zero frame: the adjoint of a 'valid' filter is the same filter on the framed map.
             slopes = np.zeros((3, height + 2 * RADIUS_PX, (width + 2 * RADIUS_PX) * channels), np.float32)
             _similarity_rows(a_rows, b_rows, mask_rows, channels, weight, row_sums, slopes)
             _gradient_rows(a_rows, b_rows, slopes, channels, gradient.view(flat).numpy())
@@ -144,8 +144,8 @@ class _FusedSsim(torch.autograd.Function):
 
 # --- kernels ---
 # A row of an [H, W, C] image is W·C contiguous floats, and a horizontal tap is a step of C floats: no channel is taken apart.
-# Rows are worked on in tiles of fixed width, with every intermediate at a fixed offset of one small buffer: they stay in cache and, the
-# distances being compile-time constants, LLVM vectorises without a thicket of run-time alias checks.
+# Rows are worked on in tiles of fixed width, with every intermediate at a fixed offset of one small buffer: they stay in cache
+# and, the distances being compile-time constants, LLVM vectorises without a thicket of run-time alias checks.
 
 _TAPS = window_taps().astype(np.float32)
 _T0, _T1, _T2, _T3, _T4, _T5 = (numba.float32(t) for t in _TAPS[: RADIUS_PX + 1])
