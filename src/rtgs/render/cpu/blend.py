@@ -12,8 +12,8 @@ import math
 import numba as nb
 import numpy as np
 
+from rtgs.render.cpu.channels import add_color, add_color_gradient, colors_of, dot_gradient
 from rtgs.render.cpu.projection import (
-    COLORS,
     CONIC_A,
     CONIC_B,
     CONIC_C,
@@ -37,14 +37,14 @@ F = np.float32
 _ALPHA_MAX, _T_MIN = F(ALPHA_MAX), F(TRANSMITTANCE_MIN)
 _ZERO, _HALF, _ONE = F(0), F(0.5), F(1)
 _LOG2E = F(-1.4426950408889634)
-# 2^f on [−½, ½], Chebyshev interpolation of degree 5: relative error 1e-7.
+# 2^f on [−1, 0], Chebyshev interpolation of degree 5: relative error 1e-7.
 _P0, _P1, _P2, _P3, _P4, _P5 = (
-    F(1.0000000754548972),
-    F(0.6931471880262273),
-    F(0.2402210748530968),
-    F(0.05550357114222094),
-    F(0.009676031918255982),
-    F(0.001339086336353527),
+    F(0.9999999438867423),
+    F(0.6931431346410901),
+    F(0.24017895627750366),
+    F(0.05529811967606631),
+    F(0.009209180356949767),
+    F(0.0009468770290273673),
 )
 
 
@@ -52,7 +52,7 @@ _P0, _P1, _P2, _P3, _P4, _P5 = (
 def _exp_minus(s):
     """exp(−s) for 0 ≤ s ≤ 20: the power of two goes straight into the exponent's bits."""
     t = s * _LOG2E
-    n = np.int32(t - _HALF)
+    n = np.int32(t)
     f = t - F(n)
     p = ((((_P5 * f + _P4) * f + _P3) * f + _P2) * f + _P1) * f + _P0
     return p * np.int32((n + np.int32(127)) << np.int32(23)).view(np.float32)
@@ -87,6 +87,7 @@ def blend(tile_order, tile_starts, ranks, packed, width, height, channels, image
                 break
             s = packed[ranks[k]]
             x, y, a, b, c, o, reach = s[X], s[Y], s[CONIC_A], s[CONIC_B], s[CONIC_C], s[OPACITY], s[REACH]
+            values = colors_of(s, channels)
             first, last = _rows(s, F(top))
             for r in range(first, last):
                 dy = y - (F(top + r) + _HALF)
@@ -102,8 +103,7 @@ def blend(tile_order, tile_starts, ranks, packed, width, height, channels, image
                     alive[r, i] = alive[r, i] if open_ else _ZERO
                     w = al * t if open_ else _ZERO
                     transmittance[r, i] = t - w
-                    for q in range(len(channels)):
-                        color[q, r, i] += w * s[COLORS + q]
+                    add_color(color, r, i, w, values)
         spent[tile] = end
         for r in range(min(TILE, height - top)):
             for i in range(min(TILE, width - left)):
@@ -141,6 +141,7 @@ def blend_backward(
         for k in range(tile_starts[tile], spent[tile]):
             s = packed[ranks[k]]
             x, y, a, b, c, o, reach = s[X], s[Y], s[CONIC_A], s[CONIC_B], s[CONIC_C], s[OPACITY], s[REACH]
+            values = colors_of(s, channels)
             first, last = _rows(s, F(top))
             lanes[:] = _ZERO
             color_lanes[:] = _ZERO
@@ -160,12 +161,9 @@ def blend_backward(
                     open_ = t * through > _T_MIN
                     alive[r, i] = alive[r, i] if open_ else _ZERO
                     w = al * t if open_ else _ZERO
-                    for q in range(len(channels)):
-                        color_lanes[q, i] += w * grad[q, r, i]
+                    add_color_gradient(color_lanes, i, w, grad, r, channels)
                     if geometry:
-                        here = grad[len(channels), r, i]
-                        for q in range(len(channels)):
-                            here += s[COLORS + q] * grad[q, r, i]
+                        here = dot_gradient(grad, r, i, values)
                         left_over = remaining[r, i] - w * here
                         remaining[r, i] = left_over
                         d_alpha = t * here - left_over / through
