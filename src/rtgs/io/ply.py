@@ -1,0 +1,186 @@
+"""3D Gaussian models as PLY files, in the field layout of INRIA's 3DGS, which every splat viewer reads.
+
+One vertex a Gaussian: `x y z`, `nx ny nz` (zero), `f_dc_0…2`, `f_rest_0…3(K−1)−1`, `opacity` (logit), `scale_0…2` (ln),
+`rot_0…3` (wxyz). `f_rest` runs channel by channel: all K − 1 coefficients of red, then green, then blue.
+
+A thermal model has one channel. Viewers expect three, so it is written three times over (they show it gray), with a
+`temperature` property beside it and comments from which reading takes it back to exactly one channel.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyParseError
+from torch import Tensor
+
+from rtgs.errors import RtgsError
+from rtgs.gaussians import Gaussians
+from rtgs.sh import C0
+
+_THERMAL = "rtgs thermal"
+_RANGE = "rtgs celsius_range"
+_DEGREE_OF_REST = {0: 0, 9: 1, 24: 2, 45: 3}
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalPly:
+    """A thermal model and the temperatures that colours 0 and 1 stand for, °C; None where the capture had no radiometry."""
+
+    gaussians: Gaussians
+    celsius_range: tuple[float, float] | None
+
+
+def write_ply(path: Path, gaussians: Gaussians, *, celsius_range: tuple[float, float] | None = None) -> None:
+    """Write a model as binary little-endian float32; `path` appears whole or not at all.
+
+    Args:
+        path: its folder must exist.
+        gaussians: three channels, or one: a thermal model.
+        celsius_range: °C at colour 0 and at colour 1, for thermal models only. Adds the property `temperature`, °C: the colour
+            without its view-dependent part, max(0, ½ + C0 · dc), mapped linearly.
+
+    Raises:
+        RtgsError: the model holds NaN or infinity, or the file cannot be written.
+        ValueError: neither one nor three channels, or a range for a model that is not thermal.
+    """
+    path = Path(path)
+    thermal = gaussians.channels == 1
+    if gaussians.channels not in (1, 3):
+        raise ValueError(f"a PLY holds 3 channels, or 1 for a thermal model; got {gaussians.channels}")
+    if celsius_range is not None and not thermal:
+        raise ValueError("celsius_range is for a thermal model, of one channel")
+    arrays = {name: _numpy(t) for name, t in gaussians.tensors().items()}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise RtgsError(f"{path}: not written, the model's {name} holds NaN or infinity")
+    sh = np.repeat(arrays["sh"], 3, axis=2) if thermal else arrays["sh"]
+    count, coefficients, _ = sh.shape
+    columns: dict[str, NDArray[np.float32]] = {}
+    columns |= _columns("xyz", arrays["means"])
+    columns |= _columns(("nx", "ny", "nz"), np.zeros((count, 3), np.float32))
+    columns |= _columns("f_dc", sh[:, 0])
+    columns |= _columns("f_rest", sh[:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1)))
+    columns["opacity"] = arrays["opacity_logits"]
+    columns |= _columns("scale", arrays["log_scales"])
+    columns |= _columns("rot", arrays["quats"])
+    comments = [_THERMAL] if thermal else []
+    if celsius_range is not None:
+        lo, hi = (float(v) for v in celsius_range)
+        comments.append(f"{_RANGE} {lo!r} {hi!r}")
+        columns["temperature"] = (lo + (hi - lo) * np.maximum(0.0, 0.5 + C0 * sh[:, 0, 0].astype(np.float64))).astype(np.float32)
+    vertices = np.empty(count, dtype=[(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        vertices[name] = column
+    ply = PlyData([PlyElement.describe(vertices, "vertex")], text=False, byte_order="<", comments=comments)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        ply.write(str(temporary))
+        temporary.replace(path)
+    except OSError as error:
+        raise RtgsError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_ply(path: Path) -> Gaussians:
+    """Read a model: ours, or anyone's in INRIA's layout.
+
+    ASCII or binary, any precision and order of properties; extra ones are ignored, normals are not needed.
+
+    Returns:
+        float32 tensors; `sh` `[N, K, 1]` where the file says that it is a thermal model of ours, else `[N, K, 3]`.
+
+    Raises:
+        RtgsError: the file is missing, no PLY, cut short, lacks a field, or a field holds NaN or infinity; it names both.
+    """
+    return _read(Path(path))[0]
+
+
+def read_thermal_ply(path: Path) -> ThermalPly:
+    """Read a thermal model that `write_ply` wrote.
+
+    Raises:
+        RtgsError: as `read_ply`, or the file is not a thermal model.
+    """
+    gaussians, comments = _read(Path(path))
+    if gaussians.channels != 1:
+        raise RtgsError(f"{path}: not a thermal model (no comment '{_THERMAL}' in its header)")
+    for comment in comments:
+        if comment.startswith(_RANGE):
+            try:
+                lo, hi = (float(v) for v in comment[len(_RANGE) :].split())
+            except ValueError:
+                raise RtgsError(f"{path}: unreadable comment '{comment}' (expected two temperatures)") from None
+            return ThermalPly(gaussians, (lo, hi))
+    return ThermalPly(gaussians, None)
+
+
+def _read(path: Path) -> tuple[Gaussians, list[str]]:
+    try:
+        ply = PlyData.read(str(path))
+    except OSError as error:
+        raise RtgsError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (PlyParseError, ValueError) as error:  # ValueError: a header that is not text
+        raise RtgsError(f"{path}: not a whole PLY file ({error})") from error
+    if "vertex" not in ply:
+        raise RtgsError(f"{path}: a PLY without 'vertex' elements; not a Gaussian model")
+    data = ply["vertex"].data
+    if len(data) == 0:
+        raise RtgsError(f"{path}: holds no Gaussians")
+    names = set(data.dtype.names or ())
+
+    def stacked(*fields: str) -> NDArray[np.float32]:
+        return np.stack([_field(path, data, names, f) for f in fields], axis=1)
+
+    means = stacked("x", "y", "z")
+    dc = stacked("f_dc_0", "f_dc_1", "f_dc_2")
+    rest_count = sum(name.startswith("f_rest_") for name in names)
+    if rest_count not in _DEGREE_OF_REST:
+        raise RtgsError(f"{path}: {rest_count} f_rest fields; SH degree 0–3 has one of {sorted(_DEGREE_OF_REST)}")
+    sh = dc[:, None, :]
+    if rest_count:
+        rest = stacked(*(f"f_rest_{i}" for i in range(rest_count))).reshape(len(data), 3, rest_count // 3)
+        sh = np.concatenate([sh, rest.transpose(0, 2, 1)], axis=1)
+    if _THERMAL in ply.comments:
+        sh = sh[:, :, :1]
+    quats = stacked("rot_0", "rot_1", "rot_2", "rot_3")
+    if (np.abs(quats).max(axis=1) == 0).any():
+        raise RtgsError(f"{path}: fields rot_0 … rot_3 hold a quaternion of length zero")
+    gaussians = Gaussians(
+        means=torch.from_numpy(means),
+        quats=torch.from_numpy(quats),
+        log_scales=torch.from_numpy(stacked("scale_0", "scale_1", "scale_2")),
+        opacity_logits=torch.from_numpy(_field(path, data, names, "opacity")),
+        sh=torch.from_numpy(np.ascontiguousarray(sh)),
+    )
+    return gaussians, list(ply.comments)
+
+
+def _field(path: Path, data: NDArray[np.void], names: set[str], field: str) -> NDArray[np.float32]:
+    if field not in names:
+        raise RtgsError(f"{path}: field '{field}' is missing; not a 3D Gaussian model in INRIA's layout")
+    if data[field].dtype == object:
+        raise RtgsError(f"{path}: field '{field}' is a list, a number is needed")
+    with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite and is reported as such
+        column = np.array(data[field], dtype=np.float32)  # a copy: plyfile maps the file, which may be replaced later
+    bad = np.count_nonzero(~np.isfinite(column))
+    if bad:
+        raise RtgsError(f"{path}: field '{field}' is NaN or infinite in {bad} of {len(column)} Gaussians")
+    return column
+
+
+def _columns(name: str | tuple[str, ...], array: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """Columns of `[N, n]` under `name_0 … name_(n−1)`, under the letters of "xyz", or under the names given."""
+    width = array.shape[1]
+    names = tuple(name) if name == "xyz" or isinstance(name, tuple) else tuple(f"{name}_{i}" for i in range(width))
+    return {n: array[:, i] for i, n in enumerate(names)}
+
+
+def _numpy(tensor: Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().to(torch.float32).numpy()
