@@ -6,6 +6,7 @@ COLMAP stores `camera_from_world`; records here hold `world_from_rgb`, inverted 
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -178,12 +179,55 @@ def rigid3d_from_se3(transform: SE3) -> pycolmap.Rigid3d:
 
 
 def _read_model(folder: Path) -> pycolmap.Reconstruction:
+    _check_binary_lengths(folder)
     try:
         with quiet_colmap():
             return pycolmap.Reconstruction(str(folder))
-    except (ValueError, RuntimeError, OSError, IndexError) as error:
+    except (ValueError, RuntimeError, OSError, IndexError, MemoryError) as error:
         cause = str(error).split("] ", 1)[-1].strip()
         raise RtgsError(f"{folder}: is not a COLMAP model that can be read ({cause}). Export it again or remove it.") from error
+
+
+def _check_binary_lengths(folder: Path) -> None:
+    """Refuse truncated binary files: COLMAP takes what it reads past the end for a count and works on it for minutes."""
+    for name, walk in (("cameras", _walk_cameras), ("images", _walk_images), ("points3D", _walk_points)):
+        path = folder / f"{name}.bin"
+        if not path.is_file():
+            continue  # a text model, or none: COLMAP says which file it misses
+        data = path.read_bytes()
+        try:
+            complete = walk(data, struct.unpack_from("<Q", data)[0]) <= len(data)
+        except (struct.error, ValueError):
+            complete = False
+        if not complete:
+            raise RtgsError(f"{path}: is truncated. Copy or export the model again, or remove the folder.")
+
+
+def _walk_cameras(data: bytes, count: int) -> int:
+    """Offset after the last record: id, model, width, height (24 bytes), parameters of 8 bytes."""
+    n_params = (3, 4, 4, 5, 8, 8)  # by COLMAP's number of the six known models; others are refused later, by name
+    at = 8
+    for _ in range(count):
+        model = struct.unpack_from("<i", data, at + 4)[0]
+        at += 24 + 8 * (n_params[model] if 0 <= model < len(n_params) else 3)
+    return at
+
+
+def _walk_images(data: bytes, count: int) -> int:
+    """Offset after the last record: id, quaternion, translation, camera, name ending in 0, count, points of 24 bytes."""
+    at = 8
+    for _ in range(count):
+        at = data.index(b"\0", at + 64) + 1
+        at += 8 + 24 * struct.unpack_from("<Q", data, at)[0]
+    return at
+
+
+def _walk_points(data: bytes, count: int) -> int:
+    """Offset after the last record: id, position, colour, error (43 bytes), count, track elements of 8 bytes."""
+    at = 8
+    for _ in range(count):
+        at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
+    return at
 
 
 def _camera_from_colmap(folder: Path, camera: pycolmap.Camera) -> Camera:
