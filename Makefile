@@ -1,0 +1,41 @@
+# make test   everything a change has to pass: ruff, mypy, pytest
+# make demo   the whole pipeline on a small capture, and its report
+# make lint   ruff and mypy alone
+# Each sets up .venv first, in a fresh clone too. PYTHON picks the interpreter: make test PYTHON=python3.12
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: test demo lint venv
+.NOTPARALLEL:
+
+venv: $(STAMP)
+
+# PyPI's torch for Linux brings gigabytes of CUDA. Where there is no NVIDIA driver the CPU build is asked for first; it is found
+# when pip is configured with an index or a folder that has it. The last resort is any torch that this Python can have.
+$(STAMP): pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@if $(BIN)/python -c "import torch" 2>/dev/null; then \
+	  echo "torch is there already"; \
+	elif command -v nvidia-smi >/dev/null 2>&1; then \
+	  $(BIN)/python -m pip install --quiet "torch>=2.4"; \
+	else \
+	  $(BIN)/python -m pip install --quiet "torch==2.13.0+cpu" 2>/dev/null \
+	  || $(BIN)/python -m pip install --quiet "torch==2.13.0" 2>/dev/null \
+	  || $(BIN)/python -m pip install --quiet "torch>=2.4"; \
+	fi
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	touch $@
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+# Two test processes with one thread each: Numba's and torch's own threads would fight over the same cores.
+test: lint
+	@NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2
+
+demo: $(STAMP)
+	$(BIN)/rtgs demo
