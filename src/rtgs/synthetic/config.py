@@ -1,0 +1,76 @@
+"""What a synthetic capture is made with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from rtgs.errors import RtgsError
+
+SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room"]
+SCENES: tuple[SceneName, ...] = get_args(SceneName)
+
+SFM_PER_METRE_RANGE = (0.05, 20.0)  # drawn log-uniformly from here unless the config names one
+
+
+@dataclass(frozen=True)
+class SynthConfig:
+    """Settings of one synthetic capture. The five `*_error` fields change what `rig.json` says, never what is rendered."""
+
+    scene: SceneName = "lego"
+    """which of the seven modelled scenes; all but `room` are objects seen from a hemisphere around them"""
+    frames: int = 50
+    """RGB–thermal pairs"""
+    size: int = 800
+    """width and height of the images, in pixels"""
+    thermal_size: int | None = None
+    """width and height of the thermal images, in pixels; None: as `size`"""
+    seed: int = 0
+    """of camera positions, unit, noise, gains and error directions; the scene itself never changes"""
+    baseline_m: float = 0.20
+    """distance between the two cameras, in metres"""
+    sfm_per_metre: float | None = None
+    """unit of the written poses; None: drawn log-uniformly from 0.05 to 20"""
+    netd_c: float = 0.05
+    """standard deviation of the thermal sensor's noise, in °C; 0 for none"""
+    blur_px: float = 0.0
+    """standard deviation of the thermal lens's Gaussian blur, in thermal pixels"""
+    gain_jitter: float = 0.0
+    """g: each thermal image's contrast around its mean is multiplied by a factor drawn from [1 − g, 1 + g]"""
+    rig_length_error: float = 0.0
+    """relative error of the written baseline length: 0.01 writes it 1 % too long"""
+    rig_direction_error: float = 0.0
+    """tangent of the angle by which the written baseline direction is tilted: 0.01 moves its tip by 1 % of its length"""
+    rig_rotation_error_deg: float = 0.0
+    """angle by which the written rig rotation is off, in degrees, about an axis drawn with the seed"""
+    thermal_focal_error: float = 0.0
+    """relative error of the written thermal focal length: 0.01 writes it 1 % too long"""
+    supersampling: int = 2
+    """n: every pixel is the mean of n × n rays"""
+    thermal_clean: bool = True
+    """also write each thermal image in °C without blur, gain, noise or quantisation, under `ground_truth/`"""
+
+    def check(self) -> None:
+        """Raises `RtgsError` where a field is out of its range."""
+        if self.scene not in SCENES:
+            raise RtgsError(f"scene: no scene named {self.scene!r}; there are {', '.join(SCENES)}")
+        for name, least in (("frames", 1), ("size", 8), ("thermal_size", 8), ("supersampling", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise RtgsError(f"{name}: {value} is too small; it must be at least {least}")
+        for name in ("baseline_m", "netd_c", "blur_px"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise RtgsError(f"{name}: {value} is not a finite number from 0 up")
+        if not 0 <= self.gain_jitter < 1:
+            raise RtgsError(f"gain_jitter: {self.gain_jitter} is outside [0, 1)")
+        for name in ("rig_length_error", "thermal_focal_error"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > -1):
+                raise RtgsError(f"{name}: {value} must be a finite fraction above −1")
+        for name in ("rig_direction_error", "rig_rotation_error_deg"):
+            if not math.isfinite(getattr(self, name)):
+                raise RtgsError(f"{name}: {getattr(self, name)} is not a finite number")
+        if self.sfm_per_metre is not None and not (math.isfinite(self.sfm_per_metre) and self.sfm_per_metre > 0):
+            raise RtgsError(f"sfm_per_metre: {self.sfm_per_metre} is not a finite positive number")
