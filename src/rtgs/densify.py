@@ -1,0 +1,133 @@
+"""Grow and prune a Gaussian model while it trains, within a budget.
+
+3DGS's adaptive density control (Kerbl et al. 2023, §5.2) with one change: instead of a gradient threshold, which decides the model's
+size only indirectly, the number of Gaussians follows a schedule up to `max_gaussians`, and the Gaussians with the largest mean
+screen-space gradient are the ones that multiply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+Parameters = dict[str, torch.nn.Parameter]
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """When and how far the model grows."""
+
+    max_gaussians: int = 150_000
+    """The budget."""
+    every: int = 100
+    """Steps between two rounds."""
+    start: float = 0.05
+    """First round, as a share of all steps."""
+    stop: float = 0.65
+    """Last round, as a share of all steps; the rest only refines."""
+    split_size: float = 0.01
+    """A Gaussian larger than this share of the scene's extent is split, a smaller one cloned."""
+    prune_opacity: float = 0.005
+    """A Gaussian fainter than this is removed."""
+
+
+class ScreenGradients:
+    """Mean norm of each Gaussian's screen-space gradient since the last round."""
+
+    def __init__(self, n: int) -> None:
+        self.total = torch.zeros(n)
+        self.count = torch.zeros(n)
+
+    def add(self, gradient: Tensor, visible: Tensor, width: int, height: int) -> None:
+        """`gradient` `[N, 2]` per pixel; scaled by half the image size, so that resolutions compare (as 3DGS does)."""
+        scaled = gradient * torch.tensor([0.5 * width, 0.5 * height])
+        self.total += scaled.norm(dim=1)
+        self.count += visible
+
+    def mean(self) -> Tensor:
+        return self.total / self.count.clamp_min(1)
+
+
+def target_count(config: DensifyConfig, initial: int, step: int, steps: int) -> int:
+    """The schedule: from `initial` to the budget, fast at first (a square root in time)."""
+    span = (config.stop - config.start) * steps
+    done = min(max((step - config.start * steps) / span, 0.0), 1.0)
+    return int(initial + (config.max_gaussians - initial) * done**0.5) if config.max_gaussians > initial else initial
+
+
+def is_round(config: DensifyConfig, step: int, steps: int) -> bool:
+    """Whether this step ends with a round."""
+    return step % config.every == 0 and config.start * steps <= step <= config.stop * steps
+
+
+def densify(
+    parameters: Parameters,
+    optimizer: torch.optim.Optimizer,
+    gradients: ScreenGradients,
+    config: DensifyConfig,
+    *,
+    target: int,
+    extent: float,
+    generator: torch.Generator,
+    rotation_from_quats: Callable[[Tensor], Tensor],
+) -> int:
+    """One round: prune the faint, multiply the most wanted. Parameters and optimiser state are replaced in place.
+
+    Args:
+        parameters: means, quats, log_scales, opacity_logits and any number of per-Gaussian others, `[N, ...]` each.
+        target: how many Gaussians there should be afterwards, if enough of them have a gradient.
+        extent: the scene's extent, world units.
+
+    Returns:
+        The new N.
+    """
+    with torch.no_grad():
+        faint = torch.sigmoid(parameters["opacity_logits"]) < config.prune_opacity
+        # Larger than the whole scene: it hides what is behind it from every camera.
+        huge = parameters["log_scales"].exp().amax(1) > extent
+        keep = ~(faint | huge | ~torch.isfinite(parameters["means"]).all(1))
+        wanted = torch.where(keep, gradients.mean(), torch.zeros(()))
+        room = max(0, target - int(keep.sum()))
+        chosen = torch.topk(wanted, min(room, int((wanted > 0).sum()))).indices
+        large = parameters["log_scales"][chosen].exp().amax(1) > config.split_size * extent
+        cloned, split = chosen[~large], chosen[large]
+
+        # A split replaces the parent by two samples of it, 1.6 times smaller; a clone adds a copy.
+        keep[split] = False
+        sources = torch.cat([torch.nonzero(keep)[:, 0], cloned, split, split])
+        n_children = 2 * len(split)
+        fresh = torch.zeros(len(sources), dtype=torch.bool)
+        fresh[int(keep.sum()) :] = True
+        new = {name: value.detach()[sources].clone() for name, value in parameters.items()}
+        if n_children:
+            scales = new["log_scales"][-n_children:].exp()
+            noise = torch.randn(n_children, 3, generator=generator) * scales
+            rotations = rotation_from_quats(new["quats"][-n_children:])
+            new["means"][-n_children:] += (rotations @ noise[..., None])[..., 0]
+            new["log_scales"][-n_children:] -= torch.log(torch.tensor(1.6))
+        replace(parameters, optimizer, new, sources, fresh)
+    return len(sources)
+
+
+def replace(
+    parameters: Parameters, optimizer: torch.optim.Optimizer, new: dict[str, Tensor], sources: Tensor, fresh: Tensor
+) -> None:
+    """Swap each parameter for `new[name]`, carrying Adam's moments over by `sources` `[M]` and zeroing those of `fresh` `[M]`."""
+    for group in optimizer.param_groups:
+        name = group["name"]
+        if name not in new:
+            continue
+        old = parameters[name]
+        state = optimizer.state.pop(old, {})
+        parameter = torch.nn.Parameter(new[name])
+        for moment in ("exp_avg", "exp_avg_sq"):
+            if moment in state:
+                carried = state[moment][sources].clone()
+                carried[fresh] = 0
+                state[moment] = carried
+        group["params"] = [parameter]
+        optimizer.state[parameter] = state
+        parameters[name] = parameter

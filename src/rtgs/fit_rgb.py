@@ -1,0 +1,360 @@
+"""Stage 1: train the RGB model, the anchor that the scale is found against."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from rtgs import sh
+from rtgs.camera import Camera
+from rtgs.densify import DensifyConfig, Parameters, ScreenGradients, densify, is_round, target_count
+from rtgs.errors import RtgsError
+from rtgs.gaussians import Gaussians
+from rtgs.geometry import SE3
+from rtgs.metrics import psnr
+from rtgs.render import RenderSettings, render
+from rtgs.render.reference import rotation_from_quats
+from rtgs.scene import Frame, Scene
+from rtgs.ssim import ssim
+
+Progress = Callable[[int, int, str], None]
+NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
+
+
+@dataclass(frozen=True)
+class RgbConfig:
+    """Training of the RGB model."""
+
+    steps: int = 5000
+    """Optimisation steps; one image each."""
+    sh_degree: int = 3
+    """Highest spherical-harmonics band; bands are switched on in turn over the first half of the training."""
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    """How the model grows."""
+    ssim_weight: float = 0.2
+    """Loss = ℓ1 + this · (1 − SSIM)."""
+    coarse_to_fine: tuple[tuple[float, int], ...] = ((0.2, 4), (0.55, 2))
+    """(until this share of the steps, image reduced by this factor); full size afterwards."""
+    background: Literal["learned", "black", "white"] = "learned"
+    """What shows where nothing is: one colour, fitted or fixed."""
+    antialiased: bool = False
+    """Compensate opacity for the pixel-size blur, so that the model looks alike at other resolutions."""
+    exposure: bool = False
+    """Fit a gain and an offset per training frame and channel (not used for held-out frames)."""
+    random_points: int = 20_000
+    """How many random points to start from when the scene has no sparse points."""
+    seed: int = 0
+    """Order of the frames, random points and splits."""
+
+
+@dataclass(frozen=True, eq=False)
+class RgbModel:
+    """A trained or imported RGB model.
+
+    Attributes:
+        gaussians: C = 3.
+        background: `[3]`, in [0, 1].
+        settings: how it has to be rendered (near plane, anti-aliasing).
+        history: lists of equal length: "step", "gaussians", "held_out_psnr" (dB; empty without held-out frames).
+    """
+
+    gaussians: Gaussians
+    background: Tensor
+    settings: RenderSettings
+    history: Mapping[str, Sequence[float]]
+
+    def render(self, camera: Camera, camera_from_world: SE3) -> Tensor:
+        """`[H, W, 3]`, over the background."""
+        return render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
+
+
+def fit_rgb(
+    scene: Scene, config: RgbConfig | None = None, *, checkpoint: Path | None = None, progress: Progress | None = None
+) -> RgbModel:
+    """Train 3D Gaussians on the scene's training frames (Kerbl et al. 2023).
+
+    Args:
+        scene: at least one training frame.
+        checkpoint: where to keep the state while training; a file that is there is continued, bit for bit.
+        progress: called with (step, steps, text).
+
+    Raises:
+        RtgsError: no training frame, or a checkpoint of another configuration.
+    """
+    config = config or RgbConfig()
+    if not scene.train_frames:
+        raise RtgsError("fit_rgb: the scene has no training frame (every registered frame is held out).")
+    training = _Training(scene, config)
+    if checkpoint is not None and checkpoint.exists():
+        training.restore(checkpoint)
+    every = max(config.steps // 20, 1)
+    while training.step < config.steps:
+        training.advance()
+        step = training.step
+        if step % every == 0 or step == config.steps:
+            training.record()
+            if checkpoint is not None and step < config.steps:
+                training.save(checkpoint)
+        if progress is not None:
+            progress(step, config.steps, training.summary())
+    return training.model()
+
+
+def near_plane(scene: Scene) -> float:
+    """World units."""
+    return NEAR_FRACTION * scene.extent
+
+
+def initial_gaussians(xyz: np.ndarray, rgb: np.ndarray, sh_degree: int) -> Gaussians:
+    """One Gaussian a point: its size is the mean distance to its three nearest neighbours, its opacity 0.1.
+
+    Args:
+        xyz: `[P, 3]` world units; rgb: `[P, 3]` in [0, 1].
+    """
+    distances, _ = cKDTree(xyz).query(xyz, k=min(4, len(xyz)))
+    size = np.sqrt((np.atleast_2d(distances)[:, 1:] ** 2).mean(axis=1)) if len(xyz) > 1 else np.ones(1)
+    size = np.clip(size, np.percentile(size, 1), np.percentile(size, 99)).clip(min=1e-12)
+    n = len(xyz)
+    coefficients = torch.zeros(n, sh.coefficients(sh_degree), 3)
+    coefficients[:, 0] = (torch.as_tensor(rgb, dtype=torch.float32) - 0.5) / sh.C0
+    quats = torch.zeros(n, 4)
+    quats[:, 0] = 1.0
+    return Gaussians(
+        torch.as_tensor(xyz, dtype=torch.float32),
+        quats,
+        torch.as_tensor(np.log(size), dtype=torch.float32)[:, None].repeat(1, 3),
+        torch.full((n,), math.log(0.1 / 0.9)),
+        coefficients,
+    )
+
+
+def _random_points(scene: Scene, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Uniform in what the cameras look at: frusta cut off at twice the scene's extent."""
+    rng = np.random.default_rng(seed)
+    camera, frames = scene.rig.rgb, scene.train_frames
+    which = rng.integers(len(frames), size=n)
+    # Uniform in the frustum's volume: depth by the cube root.
+    depth = 2.0 * max(scene.extent, 1e-9) * rng.uniform(0.05**3, 1.0, n) ** (1 / 3)
+    rays = np.stack(
+        [
+            (rng.uniform(0, camera.width, n) - camera.cx) / camera.fl_x,
+            (rng.uniform(0, camera.height, n) - camera.cy) / camera.fl_y,
+            np.ones(n),
+        ],
+        axis=1,
+    )
+    in_camera = rays * depth[:, None]
+    xyz = np.empty((n, 3))
+    for k, frame in enumerate(frames):
+        chosen = which == k
+        xyz[chosen] = scene.world_from_rgb[frame.name].apply(in_camera[chosen])
+    return xyz, rng.uniform(0.2, 0.8, (n, 3))
+
+
+class _Training:
+    """All the state of a run, so that it can be saved and continued."""
+
+    def __init__(self, scene: Scene, config: RgbConfig) -> None:
+        self.scene, self.config = scene, config
+        self.step = 0
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.settings = RenderSettings(near_plane=near_plane(scene), antialiased=config.antialiased)
+        if len(scene.points):
+            xyz, rgb = scene.points.xyz, scene.points.rgb
+            if len(xyz) > config.densify.max_gaussians:
+                chosen = np.random.default_rng(config.seed).permutation(len(xyz))[: config.densify.max_gaussians]
+                xyz, rgb = xyz[chosen], rgb[chosen]
+        else:
+            xyz, rgb = _random_points(scene, config.random_points, config.seed)
+        start = initial_gaussians(xyz, rgb, config.sh_degree)
+        self.initial = len(start)
+        tensors = start.tensors()
+        tensors["sh_dc"], tensors["sh_rest"] = start.sh[:, :1].clone(), start.sh[:, 1:].clone()
+        del tensors["sh"]
+        self.parameters: Parameters = {k: torch.nn.Parameter(v.contiguous()) for k, v in tensors.items()}
+        self.frame_parameters: Parameters = {
+            "background": torch.nn.Parameter(self._initial_background()),
+            "gain": torch.nn.Parameter(torch.ones(len(scene.train_frames), 3)),
+            "offset": torch.nn.Parameter(torch.zeros(len(scene.train_frames), 3)),
+        }
+        rates = {
+            "means": 1.6e-4 * scene.extent,
+            "quats": 1e-3,
+            "log_scales": 5e-3,
+            "opacity_logits": 5e-2,
+            "sh_dc": 2.5e-3,
+            "sh_rest": 2.5e-3 / 20,
+            "background": 2e-3 if config.background == "learned" else 0.0,
+            "gain": 1e-3 if config.exposure else 0.0,
+            "offset": 1e-3 if config.exposure else 0.0,
+        }
+        everything = self.parameters | self.frame_parameters
+        self.optimizer = torch.optim.Adam(
+            [{"params": [everything[k]], "lr": lr, "name": k} for k, lr in rates.items()], eps=1e-15, fused=True
+        )
+        self.gradients = ScreenGradients(self.initial)
+        self.order: list[int] = []
+        self.history: dict[str, list[float]] = {"step": [], "gaussians": [], "held_out_psnr": []}
+        self._images: dict[tuple[str, int], Tensor] = {}
+        self._masks: dict[int, Tensor | None] = {}
+
+    def _initial_background(self) -> Tensor:
+        if self.config.background != "learned":
+            return torch.full((3,), 1.0 if self.config.background == "white" else 0.0)
+        # A blank background reaches the border of the picture; anywhere else the border's median is as good as any colour.
+        borders = [
+            np.concatenate([f.rgb[0], f.rgb[-1], f.rgb[:, 0], f.rgb[:, -1]]).astype(np.float32) for f in self.scene.train_frames
+        ]
+        return torch.as_tensor(np.median(np.concatenate(borders), axis=0), dtype=torch.float32)
+
+    def factor(self) -> int:
+        """How much smaller than full size this step's image is."""
+        for until, factor in self.config.coarse_to_fine:
+            if self.step < until * self.config.steps and min(self.scene.rig.rgb.width, self.scene.rig.rgb.height) // factor >= 48:
+                return factor
+        return 1
+
+    def image(self, frame: Frame, factor: int) -> Tensor:
+        key = (frame.name, factor)
+        if factor == 1:
+            return torch.from_numpy(frame.rgb)
+        if key not in self._images:
+            if any(f != factor for _, f in self._images):
+                self._images.clear()  # the coarser level is over
+            height, width = frame.rgb.shape[:2]
+            small = cv2.resize(frame.rgb, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
+            self._images[key] = torch.from_numpy(small)
+        return self._images[key]
+
+    def mask(self, factor: int) -> Tensor | None:
+        if factor not in self._masks:
+            mask = self.scene.capture.rgb_mask
+            if factor > 1:
+                size = (mask.shape[1] // factor, mask.shape[0] // factor)
+                mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+            self._masks[factor] = None if mask.all() else torch.from_numpy(np.ascontiguousarray(mask))
+        return self._masks[factor]
+
+    def gaussians(self) -> Gaussians:
+        p = self.parameters
+        return Gaussians(
+            p["means"], p["quats"], p["log_scales"], p["opacity_logits"], torch.cat([p["sh_dc"], p["sh_rest"]], dim=1)
+        )
+
+    def advance(self) -> None:
+        """One step on one training frame."""
+        config, scene = self.config, self.scene
+        if not self.order:
+            self.order = torch.randperm(len(scene.train_frames), generator=self.generator).tolist()
+        k = self.order.pop()
+        frame = scene.train_frames[k]
+        factor = self.factor()
+        target, mask = self.image(frame, factor), self.mask(factor)
+        camera = scene.rig.rgb.resized(target.shape[1], target.shape[0])
+
+        progress = self.step / config.steps
+        band = min(config.sh_degree, int(progress * 2 * (config.sh_degree + 1)))
+        p = self.parameters
+        coefficients = torch.cat([p["sh_dc"], p["sh_rest"][:, : sh.coefficients(band) - 1]], dim=1)
+        gaussians = Gaussians(p["means"], p["quats"], p["log_scales"], p["opacity_logits"], coefficients)
+        growing = self.step <= config.densify.stop * config.steps
+        offsets = torch.zeros(len(gaussians), 2, requires_grad=growing)
+        view = render(gaussians, camera, scene.rgb_from_world(frame.name), settings=self.settings, pixel_offsets=offsets)
+        image = view.over(self.frame_parameters["background"])
+        if config.exposure:
+            image = image * self.frame_parameters["gain"][k] + self.frame_parameters["offset"][k]
+        if mask is None:
+            l1 = (image - target).abs().mean()
+        else:
+            l1 = ((image - target).abs() * mask[..., None]).sum() / (3 * mask.sum())
+        loss = l1 + config.ssim_weight * (1.0 - ssim(image, target, mask=mask))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+
+        # Positions settle: their rate falls a hundredfold along an exponential.
+        for group in self.optimizer.param_groups:
+            if group["name"] == "means":
+                group["lr"] = 1.6e-4 * scene.extent * 0.01**progress
+        self.optimizer.step()
+        self.step += 1
+        if offsets.grad is not None:
+            self.gradients.add(offsets.grad, view.visible, camera.width, camera.height)
+        if is_round(config.densify, self.step, config.steps):
+            n = densify(
+                self.parameters,
+                self.optimizer,
+                self.gradients,
+                config.densify,
+                target=target_count(config.densify, self.initial, self.step, config.steps),
+                extent=scene.extent,
+                generator=self.generator,
+                rotation_from_quats=rotation_from_quats,
+            )
+            self.gradients = ScreenGradients(n)
+
+    def record(self) -> None:
+        """Score the held-out frames: shown, never used."""
+        self.history["step"].append(self.step)
+        self.history["gaussians"].append(len(self.parameters["means"]))
+        model = self.model()
+        scores = []
+        for frame in self.scene.held_out_frames:
+            with torch.no_grad():
+                image = model.render(self.scene.rig.rgb, self.scene.rgb_from_world(frame.name)).numpy()
+            scores.append(psnr(image.clip(0, 1), frame.rgb, mask=self.scene.capture.rgb_mask))
+        if scores:
+            self.history["held_out_psnr"].append(float(np.mean(scores)))
+
+    def summary(self) -> str:
+        held_out = self.history["held_out_psnr"]
+        text = f"{len(self.parameters['means']):,} Gaussians"
+        return text + (f", held-out {held_out[-1]:.2f} dB" if held_out else "")
+
+    def model(self) -> RgbModel:
+        background = self.frame_parameters["background"].detach().clamp(0, 1).clone()
+        return RgbModel(self.gaussians().detach(), background, self.settings, {k: list(v) for k, v in self.history.items()})
+
+    def _tensors(self) -> Parameters:
+        return self.parameters | self.frame_parameters
+
+    def save(self, path: Path) -> None:
+        state: dict[str, Any] = {
+            "config": repr(self.config),
+            "step": self.step,
+            "generator": self.generator.get_state(),
+            "order": self.order,
+            "history": self.history,
+            "parameters": {k: v.detach() for k, v in self._tensors().items()},
+            "moments": {k: self.optimizer.state.get(v, {}) for k, v in self._tensors().items()},
+            "gradients": (self.gradients.total, self.gradients.count),
+        }
+        temporary = path.with_suffix(".tmp")
+        torch.save(state, temporary)
+        os.replace(temporary, path)
+
+    def restore(self, path: Path) -> None:
+        state = torch.load(path, weights_only=True)
+        if state["config"] != repr(self.config):
+            raise RtgsError(f"{path}: belongs to other training settings; remove it to start over.")
+        self.step, self.order, self.history = state["step"], state["order"], state["history"]
+        self.generator.set_state(state["generator"])
+        for group in self.optimizer.param_groups:
+            name = group["name"]
+            owner = self.parameters if name in self.parameters else self.frame_parameters
+            self.optimizer.state.pop(owner[name], None)
+            owner[name] = torch.nn.Parameter(state["parameters"][name])
+            group["params"] = [owner[name]]
+            if state["moments"][name]:
+                self.optimizer.state[owner[name]] = state["moments"][name]
+        self.gradients = ScreenGradients(0)
+        self.gradients.total, self.gradients.count = state["gradients"]

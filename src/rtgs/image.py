@@ -1,0 +1,50 @@
+"""Pictures as tensors: grayscale, Sobel gradients, pyramids."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+# ITU-R BT.601 luma, the paper's "fixed grayscale conversion" g.
+GRAY_WEIGHTS = (0.299, 0.587, 0.114)
+
+
+def to_gray(rgb: Tensor) -> Tensor:
+    """`[..., 3]` → `[...]`."""
+    return rgb @ torch.tensor(GRAY_WEIGHTS, dtype=rgb.dtype)
+
+
+def sobel(image: Tensor) -> tuple[Tensor, Tensor]:
+    """∂/∂x and ∂/∂y by the 3×3 Sobel filters of Eq. 5, unnormalised.
+
+    Args:
+        image: `[H, W]`.
+
+    Returns:
+        Two `[H − 2, W − 2]`: only pixels whose nine neighbours exist.
+    """
+    # Separable: smooth across, then difference along.
+    down = image[:-2] + 2 * image[1:-1] + image[2:]
+    across = image[:, :-2] + 2 * image[:, 1:-1] + image[:, 2:]
+    return down[:, 2:] - down[:, :-2], across[2:] - across[:-2]
+
+
+def downsample(image: Tensor, factor: int) -> Tensor:
+    """Mean over `factor` × `factor` blocks of `[H, W]` or `[H, W, C]`; a rest at the right and bottom is left out."""
+    if factor == 1:
+        return image
+    h, w = image.shape[0] // factor, image.shape[1] // factor
+    blocks = image[: h * factor, : w * factor].reshape(h, factor, w, factor, *image.shape[2:])
+    return blocks.mean(dim=(1, 3))
+
+
+def downsample_mask(mask: Tensor, factor: int) -> Tensor:
+    """A block of a bool mask `[H, W]` is valid when every pixel in it is."""
+    h, w = mask.shape[0] // factor, mask.shape[1] // factor
+    return mask[: h * factor, : w * factor].reshape(h, factor, w, factor).all(dim=3).all(dim=1)
+
+
+def erode_for_sobel(mask: Tensor) -> Tensor:
+    """`[H, W]` → `[H − 2, W − 2]`: pixels whose nine neighbours are all valid."""
+    rows = mask[:-2] & mask[1:-1] & mask[2:]
+    return rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
