@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shutil
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -27,6 +29,9 @@ from rtgs.synthetic.scenes import build_scene
 CELSIUS_PER_COUNT = 0.01
 CELSIUS_OFFSET = -100.0
 GROUND_TRUTH_JSON = "ground_truth.json"
+_OWN_FILE = re.compile(
+    r"(rgb|thermal|ground_truth/thermal_clean)/frame_\d+\.(png|tiff)|(rig|transforms|ground_truth)\.(json|part)"
+)
 
 _OBJECT_FOV_DEG, _ROOM_FOV_DEG = 40.0, 66.0
 _OBJECT_DISTANCE_M = 4.0
@@ -88,16 +93,18 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
     config.check()
     out = Path(out)
     _clear(out)
+    out.mkdir(parents=True, exist_ok=True)
+    _write_json(out / GROUND_TRUTH_JSON, {"status": "unfinished", "config": asdict(config)})  # by this `_clear` knows its own
     model = compiled_scene(config.scene)
     rig = true_rig(config)
     names = [f"frame_{i:0{max(3, len(str(config.frames - 1)))}d}" for i in range(config.frames)]
     world_from_rgb = dict(zip(names, camera_path(config, model.model.centre), strict=True))
     world_from_thermal = {name: pose @ rig.rgb_from_thermal for name, pose in world_from_rgb.items()}
     gains = dict(zip(names, 1 + config.gain_jitter * _rng(config, "gain").uniform(-1, 1, config.frames), strict=True))
-    (out / "rgb").mkdir(parents=True)
-    (out / "thermal").mkdir()
+    (out / "rgb").mkdir(exist_ok=True)
+    (out / "thermal").mkdir(exist_ok=True)
     if config.thermal_clean:
-        (out / "ground_truth" / "thermal_clean").mkdir(parents=True)
+        (out / "ground_truth" / "thermal_clean").mkdir(parents=True, exist_ok=True)
     coldest, hottest = math.inf, -math.inf
     for i, name in enumerate(names):
         rgb = render_rgb(model, rig.rgb, world_from_rgb[name], config.supersampling)
@@ -182,13 +189,13 @@ def camera_path(config: SynthConfig, centre: tuple[float, float, float]) -> list
 
 
 def _around(count: int, rng: np.random.Generator, centre: NDArray[np.float64]) -> list[SE3]:
-    """A golden-angle spiral up the hemisphere, elevation 10° to 75°, spread evenly over its area."""
+    """A golden-angle spiral up the hemisphere, elevation 10° to 75°: views are spread evenly over its area."""
     low, high = math.sin(math.radians(10)), math.sin(math.radians(75))
     phase = rng.uniform(0, 2 * math.pi)
     poses = []
     for i in range(count):
         azimuth = phase + i * math.pi * (3 - math.sqrt(5)) + rng.normal(0, 0.06)
-        height = low + (high - low) * np.clip((i * 0.618034 + 0.5 / count) % 1.0 + rng.normal(0, 0.01), 0, 1)
+        height = low + (high - low) * np.clip((i + 0.5) / count + rng.normal(0, 0.01), 0, 1)
         level = math.sqrt(1 - height**2)
         distance = _OBJECT_DISTANCE_M * (1 + rng.uniform(-0.03, 0.05))
         eye = distance * np.array([level * math.cos(azimuth), level * math.sin(azimuth), height])
@@ -260,31 +267,20 @@ def _rng(config: SynthConfig, purpose: str, index: int = 0) -> np.random.Generat
 
 
 def _clear(out: Path) -> None:
-    """Make room at `out`: nothing there, an empty folder, or files that an earlier call wrote."""
-    if not out.exists():
-        return
-    if not out.is_dir():
+    """Make room at `out`: nothing there, an empty folder, or what an earlier call wrote and nothing else."""
+    if out.is_dir():
+        files = [p for p in out.rglob("*") if not p.is_dir()]
+        if not files:
+            return
+        marked = (out / GROUND_TRUTH_JSON).is_file()
+        foreign = sorted(str(p.relative_to(out)) for p in files if not _OWN_FILE.fullmatch(p.relative_to(out).as_posix()))
+        if not marked or foreign:
+            found = foreign[0] if foreign else f"no {GROUND_TRUTH_JSON}"
+            raise RtgsError(f"{out}: holds something other than a synthetic capture ({found}); name a new or empty folder")
+        (out / "rig.json").unlink(missing_ok=True)  # first: from here on it is no capture
+        shutil.rmtree(out)
+    elif out.exists():
         raise RtgsError(f"{out}: is a file; name a folder for the capture")
-    entries = {p.name for p in out.iterdir()}
-    if not entries:
-        return
-    known = {"rgb", "thermal", "ground_truth", "rig.json", "transforms.json", GROUND_TRUTH_JSON}
-    if not entries <= known or not entries & {"rgb", "thermal"}:
-        other = ", ".join(sorted(entries - known)[:3]) or "no pictures"
-        raise RtgsError(f"{out}: holds something other than a synthetic capture ({other}); name a new or empty folder")
-    for name in ("rig.json", "transforms.json", GROUND_TRUTH_JSON):  # first: what is left is no longer a capture
-        (out / name).unlink(missing_ok=True)
-    for folder in ("rgb", "thermal", "ground_truth/thermal_clean"):
-        for path in sorted((out / folder).glob("frame_*")) if (out / folder).is_dir() else []:
-            path.unlink()
-    for folder in ("rgb", "thermal", "ground_truth/thermal_clean", "ground_truth"):
-        if (out / folder).is_dir():
-            try:
-                (out / folder).rmdir()
-            except OSError as error:
-                raise RtgsError(
-                    f"{out / folder}: holds files that no synthetic capture has; name a new or empty folder"
-                ) from error
 
 
 def _write_json(path: Path, value: dict[str, Any]) -> None:

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from rtgs.camera import Camera
 from rtgs.errors import RtgsError
-from rtgs.geometry import SE3
+from rtgs.geometry import SE3, look_at
 from rtgs.synthetic.model import Light, Material, Model, Surface
 
 Floats = NDArray[np.float64]
 OCCLUSION_RAYS = 96
 CHUNK_RAYS = 200_000  # rays in flight: bounds memory at any image size
 _LIFT_M = 1e-3  # secondary rays start this far off the surface
+_WINDOW_FRAME = look_at((0, 0, 0), (-0.55, 0.35, 0.76)).rotation.T  # what glossy things mirror, off the side of the lights
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +137,12 @@ class CompiledModel:
         return out
 
     def _surroundings(self, direction: Floats) -> Floats:
-        """Linear RGB that mirrors see: a bright sky above a dim floor."""
+        """Linear RGB that mirrors see: a bright sky with a window in it above a dim floor."""
         up = np.clip(0.5 + 2.5 * direction[:, 2:3], 0, 1)
-        return 1.6 * (np.asarray(self.model.sky) * up + 0.5 * np.asarray(self.model.ground) * (1 - up))
+        sky = np.asarray(self.model.sky) * up + 0.5 * np.asarray(self.model.ground) * (1 - up)
+        x, y = direction @ _WINDOW_FRAME[0], direction @ _WINDOW_FRAME[1]
+        pane = (np.abs(x) < 0.34) & (np.abs(y) < 0.26) & (np.abs(x) > 0.02) & (direction @ _WINDOW_FRAME[2] > 0)
+        return 1.3 * sky + 2.2 * pane[:, None]
 
     def _light(self, light: Light, world: Floats, n: Floats, view: Floats, shininess: Floats) -> tuple[Floats, Floats]:
         diffuse, highlight = np.zeros(len(world)), np.zeros(len(world))

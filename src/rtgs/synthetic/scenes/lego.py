@@ -98,7 +98,7 @@ def build() -> Model:
         b.add(plastic, _brick(nx, ny, height, studs).moved(at), colour, base_c)
 
     # base plate with studs, as a piece of ground
-    b.add(Material(_ground, _ground_c), _brick(20, 15, PLATE).moved((-1.0, -0.75, -0.80)), base_c=15)
+    b.add(Material(_ground, _ground_c), _brick(19, 14, PLATE).moved((-0.95, -0.70, -0.80)), base_c=15)
     # tracks: links round two wheels a side
     for side in (-1, 1):
         y = 0.43 * side
@@ -210,7 +210,7 @@ def build() -> Model:
     # blade: a curved wall of grooved slats, hazard stripes on its top
     def blade(u: Floats, v: Floats) -> Floats:
         bend = np.pi * 0.42 * (v - 0.5)
-        return np.stack([0.30 - 0.42 * np.cos(bend) + 0.008 * np.cos(v * 60), (u - 0.5) * 1.42, 0.42 * np.sin(bend) / 0.62], -1)
+        return np.stack([0.28 - 0.42 * np.cos(bend) + 0.008 * np.cos(v * 60), (u - 0.5) * 1.36, 0.42 * np.sin(bend) / 0.62], -1)
 
     b.add(
         plastic,
@@ -223,8 +223,8 @@ def build() -> Model:
         YELLOW,
         16,
     )
-    b.add(hazard, box((0.06, 1.42, 0.10)).moved((0.97, 0, -0.03)), base_c=16)
-    b.add(plastic, box((0.05, 1.44, 0.05)).moved((1.0, 0, -0.74)), GREY, 14)
+    b.add(hazard, box((0.06, 1.36, 0.10)).moved((0.97, 0, -0.03)), base_c=16)
+    b.add(plastic, box((0.05, 1.38, 0.05)).moved((1.0, 0, -0.74)), GREY, 14)
     return Model(tuple(b.parts), STUDIO, ambient_c=17, background_c=5, occlusion_m=0.5, centre=(0, 0, -0.25))
 
 

@@ -116,7 +116,7 @@ def _wall_c(s: Surface) -> Floats:
     """Cool at the floor and in the corners; a heating pipe behind the plaster, studs, damp, a hand print."""
     x, y, z = s.world.T
     t = s.base_c + 2.0 * z / Z
-    corner = np.minimum(X - np.abs(x), 0) * 0 + np.exp(-np.maximum(0, np.minimum(z, Z - z)) / 0.18)
+    corner = np.exp(-np.maximum(0, np.minimum(z, Z - z)) / 0.18)
     t -= 2.5 * corner
     back = y > Y - 0.02
     route = [(-2.5, 0.45), (-1.1, 0.45), (-1.1, 1.75), (0.7, 1.75), (0.7, 0.35), (2.5, 0.35)]
@@ -128,8 +128,8 @@ def _wall_c(s: Surface) -> Floats:
     studs = np.exp(-(((((x + 0.1) / 0.6) % 1 - 0.5) * 0.6 / 0.03) ** 2))
     t -= (y < -Y + 0.02) * 2.2 * studs
     t -= (x < -X + 0.02) * 6 * tx.bump(s.world, (-X, -1.3, 0.1), (1, 0.45, 0.35))
-    hand = tx.bump(s.world, (X, 0.95, 1.35), (1, 0.05, 0.06)) + sum(
-        tx.bump(s.world, (X, 0.90 + 0.035 * k, 1.45), (1, 0.011, 0.045)) for k in range(4)
+    hand = tx.bump(s.world, (X, 1.30, 1.20), (1, 0.05, 0.06)) + sum(
+        tx.bump(s.world, (X, 1.25 + 0.035 * k, 1.30), (1, 0.011, 0.045)) for k in range(4)
     )
     return t + (x > X - 0.02) * 7 * np.minimum(hand, 1)
 
