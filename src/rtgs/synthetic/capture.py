@@ -9,7 +9,7 @@ import shutil
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -137,9 +137,9 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
     return truth
 
 
-@lru_cache(maxsize=2)
+@cache
 def compiled_scene(name: SceneName) -> CompiledModel:
-    """The ray caster's form of a scene: a few seconds to make, so the last two are kept."""
+    """The ray caster's form of a scene: a second or two to make and a few megabytes, so it is kept."""
     return CompiledModel(build_scene(name))
 
 
