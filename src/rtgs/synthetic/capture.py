@@ -121,6 +121,8 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
             Image.fromarray(clean).save(out / "ground_truth" / "thermal_clean" / f"{name}.tiff")
         if progress is not None:
             progress(i + 1, config.frames)
+    if coldest > hottest:  # nothing but rims and background
+        coldest = hottest = model.model.background_c
     truth = GroundTruth(
         config,
         sfm_per_metre_of(config),
@@ -278,7 +280,11 @@ def _clear(out: Path) -> None:
             found = foreign[0] if foreign else f"no {GROUND_TRUTH_JSON}"
             raise RtgsError(f"{out}: holds something other than a synthetic capture ({found}); name a new or empty folder")
         (out / "rig.json").unlink(missing_ok=True)  # first: from here on it is no capture
-        shutil.rmtree(out)
+        for entry in out.iterdir():
+            if entry.is_dir():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink()
     elif out.exists():
         raise RtgsError(f"{out}: is a file; name a folder for the capture")
 

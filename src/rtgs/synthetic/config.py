@@ -16,7 +16,7 @@ SFM_PER_METRE_RANGE = (0.05, 20.0)  # drawn log-uniformly from here unless the c
 
 @dataclass(frozen=True)
 class SynthConfig:
-    """Settings of one synthetic capture. The five `*_error` fields change what `rig.json` says, never what is rendered."""
+    """Settings of one synthetic capture. The four `*_error*` fields change what `rig.json` says, never what is rendered."""
 
     scene: SceneName = "lego"
     """which of the seven modelled scenes; all but `room` are objects seen from a hemisphere around them"""

@@ -59,14 +59,22 @@ def _timber(s: Surface) -> Floats:
     return tx.mix(s.colour * 0.45, np.clip(s.colour * 1.2, 0, 1), tx.wood(s.local, 0.045, 3))
 
 
+_PRINTS = (
+    [(0.10, 0.16, 0.30), (0.22, 0.36, 0.52), (0.55, 0.66, 0.68), (0.90, 0.84, 0.68), (0.82, 0.52, 0.25), (0.45, 0.20, 0.14)],
+    [(0.13, 0.20, 0.12), (0.28, 0.42, 0.20), (0.60, 0.64, 0.34), (0.88, 0.82, 0.58), (0.70, 0.78, 0.84), (0.40, 0.55, 0.70)],
+    [(0.20, 0.10, 0.14), (0.52, 0.14, 0.16), (0.82, 0.38, 0.20), (0.94, 0.74, 0.38), (0.92, 0.90, 0.82), (0.30, 0.32, 0.40)],
+)
+
+
 def _poster(s: Surface) -> Floats:
     """A different print on every poster."""
     seed = int(s.part[0])
     uv = tx.face_uv(s.local, s.normal_local)
     field = tx.fbm(s.local, 0.25, 5, seed % 29)
-    hues = np.random.default_rng(seed).random((6, 3)) * 0.85 + 0.1
+    base = np.array(_PRINTS[seed % len(_PRINTS)])
+    hues = np.clip(base + np.random.default_rng(seed).normal(0, 0.04, base.shape), 0.03, 0.97)
     colour = tx.ramp(np.floor(field * 9) / 9, hues)
-    colour = tx.mix(colour, hues[::-1][0], tx.dots(uv, 0.12, seed, 0.6))
+    colour = tx.mix(colour, hues[-1], tx.dots(uv, 0.12, seed, 0.3, 0.05, 0.2))
     margin = uv[:, 1] < -0.22
     colour = tx.mix(colour, (0.93, 0.92, 0.88), margin.astype(float))
     return tx.mix(colour, (0.08, 0.08, 0.10), margin * tx.print_marks(uv, 0.035, seed))
