@@ -195,13 +195,16 @@ def _check_range(lo: float, hi: float) -> None:
 
 
 def _ticks(lo: float, hi: float, at_most: int) -> NDArray[np.float64]:
-    """Two or more round numbers in [lo, hi], evenly spaced by 1, 2 or 5 times a power of ten."""
-    for exponent in range(int(np.ceil(np.log10(hi - lo))), -300, -1):
-        for step in (5 * 10.0 ** (exponent - 1), 2 * 10.0 ** (exponent - 1), 10.0 ** (exponent - 1)):
-            ticks = np.arange(np.ceil(lo / step - 1e-9), np.floor(hi / step + 1e-9) + 1) * step
-            if len(ticks) >= 2 and (len(ticks) >= at_most // 2 + 1 or at_most <= 2):
-                return ticks[:: -(-len(ticks) // max(at_most, 2))] if len(ticks) > at_most and len(ticks) > 3 else ticks
-    return np.array([lo, hi])
+    """Two to `at_most` evenly spaced numbers in [lo, hi]: multiples of 1, 2 or 5 times a power of ten."""
+    exponent = int(np.floor(np.log10((hi - lo) / at_most)))
+    ticks = np.array([lo, hi])
+    for step in (m * 10.0**e for e in (exponent, exponent + 1) for m in (1, 2, 5)):
+        found = np.arange(np.ceil(lo / step - 1e-9), np.floor(hi / step + 1e-9) + 1) * step + 0.0  # + 0.0: no "-0"
+        if 2 <= len(found) <= at_most:
+            return found
+        if len(found) > at_most:
+            ticks = found[:: len(found) - 1]
+    return ticks
 
 
 @lru_cache(maxsize=16)
