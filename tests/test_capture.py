@@ -19,7 +19,7 @@ from rtgs.errors import RtgsError
 from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import colmap_camera, quiet_colmap, read_scene, rigid3d_from_se3, write_scene
-from rtgs.io.images import frame_name, read_rgb
+from rtgs.io.images import frame_name, in_thermal_folder, read_rgb
 from rtgs.io.rig import read_rig, write_rig
 from rtgs.io.transforms import read_transforms, write_transforms
 from rtgs.radiometry import CENTIKELVIN, CountsToCelsius
@@ -264,6 +264,13 @@ def test_intrinsics_that_come_with_poses_win_and_a_disagreement_warns(root: Path
     assert any("more than 1 %" in w and "fl_x 63.0 and 60.0" in w for w in capture.warnings)
 
 
+def test_a_lens_that_only_the_rig_has_warns(root: Path) -> None:
+    write_poses(root, RGB.pinhole())
+    capture = load_capture(root)
+    assert capture.raw_rig.rgb == RGB.pinhole()
+    assert any("rig.json gives the RGB camera lens distortion and transforms.json gives none" in w for w in capture.warnings)
+
+
 def test_poses_without_intrinsics_use_the_rig(root: Path) -> None:
     write_poses(root)
     edit_transforms(root, lambda d: [d.pop(k) for k in ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2")])
@@ -298,6 +305,9 @@ def test_thermal_frames_in_transforms_are_passed_over(root: Path) -> None:
 def test_frame_names() -> None:
     names = ["a/10.5", "./rgb/10.5.jpg", "10.5.TIFF", "rgb\\10.5.png"]
     assert {frame_name(n) for n in names} == {"10.5"}
+    assert in_thermal_folder("thermal/train/1.tiff")
+    assert not in_thermal_folder("/home/me/thermal/rgb/1.png")
+    assert not in_thermal_folder("thermal.png")
 
 
 # ---------------------------------------------------------------------------------------------------- the run's scene folder
@@ -483,6 +493,14 @@ def test_thermal_with_nan(root: Path) -> None:
     counts[3, 4] = np.nan
     Image.fromarray(counts).save(root / "thermal" / f"{NAMES[1]}.tiff")
     refused(root, f"{NAMES[1]}.tiff", "NaN")
+
+
+def test_swapped_folders(root: Path) -> None:
+    edit_rig(root, lambda d: d["rgb"].update(width=40, height=32))
+    for name in NAMES:
+        Image.fromarray(np.zeros((32, 40), np.float32)).save(root / "rgb" / f"{name}.tiff")
+        (root / "rgb" / f"{name}.png").unlink()
+    refused(root, f"rgb/{NAMES[0]}.tiff", "floating-point", "swapped")
 
 
 def test_silly_max_side(root: Path) -> None:

@@ -25,3 +25,20 @@ class CountsToCelsius:
 
 
 CENTIKELVIN = CountsToCelsius(celsius_per_count=0.01, celsius_offset=-273.15)
+
+
+@dataclass(frozen=True)
+class LinearRange:
+    """A stored linear normalisation: `lo` is 0, `hi` is 1; nothing is clipped.
+
+    Thermal colours, and thermal PSNR and SSIM, are in these units; `lo` and `hi` are °C (or counts, for a relative capture).
+    """
+
+    lo: float
+    hi: float
+
+    def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        return ((values.astype(np.float64) - self.lo) / (self.hi - self.lo)).astype(np.float32)
+
+    def expand(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        return (values.astype(np.float64) * (self.hi - self.lo) + self.lo).astype(np.float32)

@@ -20,6 +20,7 @@ import pycolmap
 
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
+from rtgs.io.capture import MIN_FRAMES
 from rtgs.io.colmap import colmap_camera, points_from_colmap, quiet_colmap, rigid3d_from_se3, se3_from_rigid3d
 from rtgs.io.images import list_images, read_header, write_upright
 from rtgs.scene import Capture, Scene, SparsePoints
@@ -27,7 +28,6 @@ from rtgs.scene import Capture, Scene, SparsePoints
 Progress = Callable[[str, int, int], None]
 T = TypeVar("T")
 
-MIN_FRAMES = 3
 _EXHAUSTIVE_UP_TO = 80  # frames; 3160 pairs, minutes on two cores
 _SEQUENTIAL_OVERLAP = 10
 _MIN_INLIERS = 15  # of a pair, COLMAP's own threshold
@@ -104,15 +104,16 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
     pycolmap.set_random_seed(config.seed)
     job.find_features()
     job.match()
-    if capture.poses is None:
+    poses = capture.poses
+    if poses is None:
         return job.map()
-    points = job.triangulate(capture.poses.world_from_rgb)
+    points = job.triangulate(poses.world_from_rgb)
     if len(points) == 0:
         said = (
             "No point could be triangulated from the poses that came with the capture; the RGB model starts from random points."
         )
         capture = replace(capture, warnings=(*capture.warnings, said))
-    return _scene_from_poses(capture, capture.poses.world_from_rgb, points)  # type: ignore[union-attr]
+    return _scene_from_poses(capture, poses.world_from_rgb, points)
 
 
 def _upright_files(capture: Capture, names: Iterable[str], work_dir: Path) -> tuple[Path, dict[str, str]]:

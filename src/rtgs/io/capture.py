@@ -161,6 +161,9 @@ def _compare(source: Path, camera: Camera, calibrated: Camera, warnings: list[st
     """Warn when the intrinsics that came with the poses are far from `rig.json`'s."""
     sizes = {"fl_x": calibrated.fl_x, "fl_y": calibrated.fl_y, "cx": calibrated.width, "cy": calibrated.height}
     far = [n for n, size in sizes.items() if abs(getattr(camera, n) - getattr(calibrated, n)) > _INTRINSICS_TOLERANCE * size]
+    if camera.has_distortion != calibrated.has_distortion:
+        without, having = (source, "rig.json") if calibrated.has_distortion else ("rig.json", source)
+        warnings.append(f"{having} gives the RGB camera lens distortion and {without} gives none; {source} is believed.")
     if far:
         said = ", ".join(f"{n} {getattr(camera, n):.1f} and {getattr(calibrated, n):.1f}" for n in far)
         warnings.append(f"RGB intrinsics of {source} and rig.json differ by more than 1 % ({said}); those of {source} are used.")

@@ -49,8 +49,9 @@ def frame_name(file_name: str) -> str:
 
 
 def in_thermal_folder(file_name: str) -> bool:
-    """Whether a pose file's image lies in a folder `thermal`: RGB poses are read, the rig gives the others."""
-    return "thermal" in PurePosixPath(file_name.replace("\\", "/")).parts[:-1]
+    """Whether a pose file's image is thermal, by its folders: RGB poses are read, the rig gives the others."""
+    folders = PurePosixPath(file_name.replace("\\", "/")).parts[:-1]
+    return "thermal" in folders and "rgb" not in folders
 
 
 def list_images(folder: Path) -> dict[str, Path]:
@@ -99,7 +100,11 @@ def read_rgb(path: Path) -> NDArray[np.float32]:
         RtgsError: the file is unreadable or truncated.
     """
     image = _decode(path)
-    if image.mode.startswith("I;16"):
+    if image.mode == "F":
+        raise RtgsError(
+            f"{path}: is a floating-point image, where RGB in 8 or 16 bits is expected. Are rgb/ and thermal/ swapped?"
+        )
+    if image.mode.startswith("I"):  # 16-bit grey, under the several names Pillow has for it
         grey = np.asarray(image, dtype=np.float32) / 65535.0
         return np.repeat(grey[..., None], 3, axis=2)
     return np.asarray(image.convert("RGB"), dtype=np.float32) / 255.0
