@@ -93,6 +93,15 @@ def test_gradient_vanishes_at_the_target_and_nowhere_else() -> None:
     assert (leaf.grad != 0).all()  # corners as well: their windows reach them
 
 
+def test_nan_stays_visible() -> None:
+    a, b = pair((32, 32, 3))
+    a[16, 16, 1] = float("nan")
+    leaf = a.requires_grad_()
+    value = ssim(leaf, b)
+    value.backward()
+    assert value.isnan() and leaf.grad[16, 16, 1].isnan()
+
+
 def test_mask_is_the_mean_over_centred_windows() -> None:
     a, b = pair((32, 40, 3))
     mask = half_mask((32, 40, 3))

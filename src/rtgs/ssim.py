@@ -147,6 +147,13 @@ class _FusedSsim(torch.autograd.Function):
 # Rows are worked on in tiles of fixed width, with every intermediate at a fixed offset of one small buffer: they stay in cache
 # and, the distances being compile-time constants, LLVM vectorises without a thicket of run-time alias checks.
 
+_FAST = {
+    "nsz",
+    "arcp",
+    "contract",
+    "reassoc",
+    "afn",
+}  # all of fastmath but the promise that there is no NaN: one must stay visible
 _TAPS = window_taps().astype(np.float32)
 _T0, _T1, _T2, _T3, _T4, _T5 = (numba.float32(t) for t in _TAPS[: RADIUS_PX + 1])
 _TILE = 1024  # output floats a tile
@@ -172,7 +179,7 @@ def _blur_along_row(source, at, count, step, out, to):  # type: ignore[no-untype
         )
 
 
-@njit(fastmath=True, cache=True)
+@njit(fastmath=_FAST, cache=True)
 def _blur_tile(source, quantities, count, channels, out):  # type: ignore[no-untyped-def]
     # Literal steps make the tap distances constants, which doubles the speed; other channel counts take the general loop.
     for q in range(quantities):
@@ -185,7 +192,7 @@ def _blur_tile(source, quantities, count, channels, out):  # type: ignore[no-unt
             _blur_along_row(source, at, count, channels, out, at)
 
 
-@njit(fastmath=True, cache=True)
+@njit(fastmath=_FAST, cache=True)
 def _moments_of_columns(a, b, top, left, count, taps, out):  # type: ignore[no-untyped-def]
     """Vertical half of the five moments a, b, aa, bb, ab for the window rows top … top + 10."""
     middle_a, middle_b, tap = a[top + 5, left : left + count], b[top + 5, left : left + count], taps[5]
@@ -209,7 +216,7 @@ def _moments_of_columns(a, b, top, left, count, taps, out):  # type: ignore[no-u
             out[4 * _STRIDE + x] += tap * (p * q + r * s)
 
 
-@njit(fastmath=True, cache=True)
+@njit(fastmath=_FAST, cache=True)
 def _similarity_of_moments(moments, weights, count, slopes):  # type: ignore[no-untyped-def]
     """Σ weight · S over the tile, and weight · ∂S/∂(μa, E[aa], E[ab]) into `slopes`."""
     total = np.float32(0.0)
@@ -233,19 +240,35 @@ def _similarity_of_moments(moments, weights, count, slopes):  # type: ignore[no-
     return total
 
 
-@njit(fastmath=True, cache=True)
+@njit(inline="always")
+def _row(source, y, left):  # type: ignore[no-untyped-def]
+    return source[y, left:]
+
+
+@njit(fastmath=_FAST, cache=True)
 def _columns_of(source, top, left, count, taps, out, to):  # type: ignore[no-untyped-def]
     """Vertical half of one filter: out[to + x] = Σ_k tap_k · source[top + k, left + x]."""
-    middle, tap = source[top + 5, left : left + count], taps[5]
+    # Two sweeps: one over all eleven rows would need more alias checks than LLVM emits, and one a tap stores six times.
+    r0, r1, r2, r3 = (
+        _row(source, top, left),
+        _row(source, top + 1, left),
+        _row(source, top + 2, left),
+        _row(source, top + 3, left),
+    )
+    r4, r5, r6, r7 = (
+        _row(source, top + 4, left),
+        _row(source, top + 5, left),
+        _row(source, top + 6, left),
+        _row(source, top + 7, left),
+    )
+    r8, r9, r10 = _row(source, top + 8, left), _row(source, top + 9, left), _row(source, top + 10, left)
     for x in range(count):
-        out[to + x] = tap * middle[x]
-    for k in range(5):
-        above, below, tap = source[top + k, left : left + count], source[top + 10 - k, left : left + count], taps[k]
-        for x in range(count):
-            out[to + x] += tap * (above[x] + below[x])
+        out[to + x] = taps[0] * (r0[x] + r10[x]) + taps[1] * (r1[x] + r9[x]) + taps[2] * (r2[x] + r8[x])
+    for x in range(count):
+        out[to + x] += taps[3] * (r3[x] + r7[x]) + taps[4] * (r4[x] + r6[x]) + taps[5] * r5[x]
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@njit(parallel=True, fastmath=_FAST, cache=True)
 def _similarity_rows(a, b, mask, channels, weight, row_sums, slopes):  # type: ignore[no-untyped-def]
     """row_sums[y] = Σ_x S (masked, unweighted); slopes [3, H + 10, (W + 10)·C] = weight · ∂S/∂moments inside a frame of 10 px."""
     rows, n = a.shape[0] - 2 * RADIUS_PX, a.shape[1] - 2 * RADIUS_PX * channels
@@ -273,7 +296,7 @@ def _similarity_rows(a, b, mask, channels, weight, row_sums, slopes):  # type: i
             row_sums[y] = total
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@njit(parallel=True, fastmath=_FAST, cache=True)
 def _gradient_rows(a, b, slopes, channels, gradient):  # type: ignore[no-untyped-def]
     """∂/∂a = w∗(∂S/∂μa) + 2a · w∗(∂S/∂E[aa]) + b · w∗(∂S/∂E[ab]): the chain rule through three symmetric filters."""
     rows, n = a.shape
