@@ -1,0 +1,151 @@
+"""Stage 3: give the frozen geometry a temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rtgs import sh
+from rtgs.camera import Camera
+from rtgs.errors import RtgsError
+from rtgs.fit_rgb import RgbModel
+from rtgs.gaussians import Gaussians
+from rtgs.geometry import SE3
+from rtgs.radiometry import LinearRange
+from rtgs.render import RenderSettings, render
+from rtgs.scene import Scene
+from rtgs.ssim import ssim
+
+Progress = Callable[[int, int, str], None]
+RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
+
+
+@dataclass(frozen=True)
+class ThermalConfig:
+    """Fit of the thermal spherical harmonics."""
+
+    steps: int = 1000
+    """Optimisation steps; one image each."""
+    sh_degree: int = 1
+    """Highest band: emission depends on the direction only weakly."""
+    learning_rate: float = 1e-2
+    """Adam's rate of the constant band, falling tenfold; higher bands take a twentieth of it."""
+    ssim_weight: float = 0.0
+    """Loss = ℓ1 + this · (1 − SSIM)."""
+    initial_noise: float = 0.0
+    """Standard deviation of the initial coefficients; zero starts at the middle of the range."""
+    seed: int = 0
+    """Order of the frames and the initial noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalModel:
+    """The RGB model's geometry with thermal colours.
+
+    Attributes:
+        gaussians: C = 1, colours in [0, 1] of `range`.
+        background: `[1]`, likewise.
+        range: what 0 and 1 mean, in °C (or counts, for a relative capture).
+        settings: how it has to be rendered.
+        sfm_per_metre: the scale whose thermal poses it was fitted at.
+        history: lists of equal length: "step", "loss".
+    """
+
+    gaussians: Gaussians
+    background: Tensor
+    range: LinearRange
+    settings: RenderSettings
+    sfm_per_metre: float
+    history: Mapping[str, Sequence[float]]
+
+    def render(self, camera: Camera, camera_from_world: SE3) -> np.ndarray:
+        """`[h, w]` float32 temperatures in °C (or counts)."""
+        with torch.no_grad():
+            view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
+        return self.range.expand(view[..., 0].numpy())
+
+
+def training_range(scene: Scene) -> LinearRange:
+    """The capture's fixed range: 0.1–99.9 percentile of the valid pixels of the training thermal images."""
+    mask = scene.capture.thermal_mask
+    values = np.concatenate([f.thermal[mask] for f in scene.train_frames])
+    lo, hi = (float(v) for v in np.percentile(values, [RANGE_PERCENTILE, 100.0 - RANGE_PERCENTILE]))
+    return LinearRange(lo, hi if hi > lo else lo + 1.0)
+
+
+def fit_thermal(
+    scene: Scene,
+    rgb_model: RgbModel,
+    sfm_per_metre: float,
+    config: ThermalConfig | None = None,
+    *,
+    progress: Progress | None = None,
+) -> ThermalModel:
+    """Clone the RGB model, replace its colours by one-channel spherical harmonics, and fit those to the training thermal images.
+
+    Means, shapes, opacities and poses stay as they are; only the harmonics and one background value move (the paper's
+    geometry-frozen protocol).
+
+    Raises:
+        RtgsError: no training frame, or a scale that is no positive number.
+    """
+    config = config or ThermalConfig()
+    frames = scene.train_frames
+    if not frames:
+        raise RtgsError("fit_thermal: the scene has no training frame (every registered frame is held out).")
+    if not (np.isfinite(sfm_per_metre) and sfm_per_metre > 0):
+        raise RtgsError(f"fit_thermal: sfm_per_metre is {sfm_per_metre}; it is a positive number.")
+    generator = torch.Generator().manual_seed(config.seed)
+    frozen = rgb_model.gaussians.detach()
+    n, k = len(frozen), sh.coefficients(config.sh_degree)
+    start = torch.randn(n, k, 1, generator=generator) * config.initial_noise
+    constant, directional = torch.nn.Parameter(start[:, :1].clone()), torch.nn.Parameter(start[:, 1:].clone())
+    span = training_range(scene)
+    camera, mask_array = scene.rig.thermal, scene.capture.thermal_mask
+    mask = None if mask_array.all() else torch.from_numpy(np.ascontiguousarray(mask_array))
+    targets = [torch.from_numpy(span.normalise(np.where(mask_array, f.thermal, span.lo)))[..., None] for f in frames]
+    borders = torch.cat([torch.cat([t[0], t[-1], t[:, 0], t[:, -1]]) for t in targets])
+    background = torch.nn.Parameter(borders.median(dim=0).values)
+    optimizer = torch.optim.Adam(
+        [
+            {"params": [constant], "lr": config.learning_rate},
+            {"params": [directional], "lr": config.learning_rate / 20},
+            {"params": [background], "lr": config.learning_rate / 5},
+        ],
+        eps=1e-15,
+        fused=True,
+    )
+    schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.1 ** (1 / max(config.steps, 1)))
+    settings = rgb_model.settings
+    poses = [scene.thermal_from_world(f.name, sfm_per_metre) for f in frames]
+    history: dict[str, list[float]] = {"step": [], "loss": []}
+    order: list[int] = []
+    recent: list[float] = []
+    for step in range(config.steps):
+        if not order:
+            order = torch.randperm(len(frames), generator=generator).tolist()
+        i = order.pop()
+        model = replace(frozen, sh=torch.cat([constant, directional], dim=1))
+        image = render(model, camera, poses[i], settings=settings).over(background)
+        error = (image - targets[i]).abs()
+        loss = error.mean() if mask is None else (error * mask[..., None]).sum() / mask.sum()
+        if config.ssim_weight:
+            loss = loss + config.ssim_weight * (1.0 - ssim(image, targets[i], mask=mask))
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        recent = [*recent, loss.item()][-len(frames) :]
+        if (step + 1) % max(config.steps // 20, 1) == 0 or step + 1 == config.steps:
+            history["step"].append(step + 1)
+            history["loss"].append(float(np.mean(recent)))
+        if progress is not None:
+            progress(step + 1, config.steps, f"loss {np.mean(recent):.4f}")
+    coefficients = torch.cat([constant, directional], dim=1).detach()
+    return ThermalModel(
+        replace(frozen, sh=coefficients), background.detach().clone(), span, settings, float(sfm_per_metre), history
+    )
