@@ -45,7 +45,7 @@ class SfmConfig:
         max_image_side: features are found in images no longer than this, in pixels.
         matching: "exhaustive" compares all pairs, "sequential" neighbours in name order (videos), "auto" takes exhaustive up
             to 80 frames.
-        seed: of COLMAP's random choices.
+        seed: of COLMAP's random choices. Two runs then differ by rounding alone, from sums in threads.
     """
 
     max_features: int = 4096
