@@ -11,11 +11,12 @@ SOURCE = Path(__file__).parents[1] / "src" / "rtgs"
 
 # First component under rtgs → tier. A package (io, render, …) is one unit: what is inside may import its siblings.
 TIERS: dict[str, float] = {
-    **dict.fromkeys(["errors"], 0),
+    **dict.fromkeys(["errors", "progress"], 0),
     **dict.fromkeys(["geometry", "image", "sh"], 1),
     **dict.fromkeys(["camera", "gaussians"], 2),
     **dict.fromkeys(["scene", "radiometry"], 3),
     **dict.fromkeys(["io", "render", "losses", "ssim", "metrics", "densify", "synthetic", "pictures"], 4),
+    **dict.fromkeys(["models"], 4.5),
     **dict.fromkeys(["sfm", "fit_rgb", "scale", "fit_thermal"], 5),
     **dict.fromkeys(["baselines", "evaluate"], 6),
     **dict.fromkeys(["pipeline"], 7.0),

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,18 +14,17 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from rtgs import sh
-from rtgs.camera import Camera
 from rtgs.densify import DensifyConfig, Parameters, ScreenGradients, densify, is_round, target_count
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
 from rtgs.metrics import psnr
+from rtgs.models import RgbModel
+from rtgs.progress import Progress
 from rtgs.render import RenderSettings, render
 from rtgs.render.reference import rotation_from_quats
 from rtgs.scene import Frame, Scene
 from rtgs.ssim import ssim
 
-Progress = Callable[[int, int, str], None]
 NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
 
 
@@ -55,27 +52,6 @@ class RgbConfig:
     """How many random points to start from when the scene has no sparse points."""
     seed: int = 0
     """Order of the frames, random points and splits."""
-
-
-@dataclass(frozen=True, eq=False)
-class RgbModel:
-    """A trained or imported RGB model.
-
-    Attributes:
-        gaussians: C = 3.
-        background: `[3]`, in [0, 1].
-        settings: how it has to be rendered (near plane, anti-aliasing).
-        history: lists of equal length: "step", "gaussians", "held_out_psnr" (dB; empty without held-out frames).
-    """
-
-    gaussians: Gaussians
-    background: Tensor
-    settings: RenderSettings
-    history: Mapping[str, Sequence[float]]
-
-    def render(self, camera: Camera, camera_from_world: SE3) -> Tensor:
-        """`[H, W, 3]`, over the background."""
-        return render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
 
 
 def fit_rgb(
@@ -309,9 +285,8 @@ class _Training:
         model = self.model()
         scores = []
         for frame in self.scene.held_out_frames:
-            with torch.no_grad():
-                image = model.render(self.scene.rig.rgb, self.scene.rgb_from_world(frame.name)).numpy()
-            scores.append(psnr(image.clip(0, 1), frame.rgb, mask=self.scene.capture.rgb_mask))
+            image = model.render(self.scene.rig.rgb, self.scene.rgb_from_world(frame.name))
+            scores.append(psnr(image, frame.rgb, mask=self.scene.capture.rgb_mask))
         if scores:
             self.history["held_out_psnr"].append(float(np.mean(scores)))
 
@@ -340,7 +315,7 @@ class _Training:
         }
         temporary = path.with_suffix(".tmp")
         torch.save(state, temporary)
-        os.replace(temporary, path)
+        temporary.replace(path)
 
     def restore(self, path: Path) -> None:
         state = torch.load(path, weights_only=True)

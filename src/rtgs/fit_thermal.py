@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from rtgs import sh
-from rtgs.camera import Camera
 from rtgs.errors import RtgsError
-from rtgs.fit_rgb import RgbModel
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
+from rtgs.models import RgbModel, ThermalModel
+from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange
-from rtgs.render import RenderSettings, render
+from rtgs.render import render
 from rtgs.scene import Scene
 from rtgs.ssim import ssim
 
-Progress = Callable[[int, int, str], None]
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
 
 
@@ -40,33 +35,6 @@ class ThermalConfig:
     """Standard deviation of the initial coefficients; zero starts at the middle of the range."""
     seed: int = 0
     """Order of the frames and the initial noise."""
-
-
-@dataclass(frozen=True, eq=False)
-class ThermalModel:
-    """The RGB model's geometry with thermal colours.
-
-    Attributes:
-        gaussians: C = 1, colours in [0, 1] of `range`.
-        background: `[1]`, likewise.
-        range: what 0 and 1 mean, in °C (or counts, for a relative capture).
-        settings: how it has to be rendered.
-        sfm_per_metre: the scale whose thermal poses it was fitted at.
-        history: lists of equal length: "step", "loss".
-    """
-
-    gaussians: Gaussians
-    background: Tensor
-    range: LinearRange
-    settings: RenderSettings
-    sfm_per_metre: float
-    history: Mapping[str, Sequence[float]]
-
-    def render(self, camera: Camera, camera_from_world: SE3) -> np.ndarray:
-        """`[h, w]` float32 temperatures in °C (or counts)."""
-        with torch.no_grad():
-            view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
-        return self.range.expand(view[..., 0].numpy())
 
 
 def training_range(scene: Scene) -> LinearRange:

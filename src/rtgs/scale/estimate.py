@@ -12,13 +12,13 @@ import torch
 from numpy.typing import NDArray
 
 from rtgs.errors import RtgsError
-from rtgs.fit_rgb import RgbModel
 from rtgs.losses import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
+from rtgs.models import RgbModel
+from rtgs.progress import Progress
 from rtgs.scale.bracket import bracket, flow_per_unit
 from rtgs.scale.objective import Objective
 from rtgs.scene import Scene
 
-Progress = Callable[[int, int, str], None]
 Status = Literal["ok", "unobservable"]
 
 # ln s of the curve that says how sure the answer is: dense near it, a sixth away at the ends.
@@ -197,7 +197,9 @@ def estimate_scale(
     )
 
 
-def adam(objective: Objective, theta: float, config: ScaleConfig, counter: Callable[[str], None] | None = None) -> tuple[float, History]:
+def adam(
+    objective: Objective, theta: float, config: ScaleConfig, counter: Callable[[str], None] | None = None
+) -> tuple[float, History]:
     """The paper's solver: Adam on θ = ln s (Eq. 8), over all frames or a random mini-batch a step.
 
     Returns:
@@ -249,7 +251,11 @@ def curve_minimum(thetas: NDArray[np.float64], curve: NDArray[np.float64]) -> fl
     if k in (0, len(curve) - 1):
         return float(thetas[k])
     a, b, _ = np.polyfit(thetas[k - 1 : k + 2] - thetas[k], curve[k - 1 : k + 2], 2)
-    return float(thetas[k] + np.clip(-b / (2 * a), thetas[k - 1] - thetas[k], thetas[k + 1] - thetas[k])) if a > 0 else float(thetas[k])
+    return (
+        float(thetas[k] + np.clip(-b / (2 * a), thetas[k - 1] - thetas[k], thetas[k + 1] - thetas[k]))
+        if a > 0
+        else float(thetas[k])
+    )
 
 
 class _Counter:

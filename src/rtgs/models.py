@@ -1,0 +1,67 @@
+"""What the fits give: a Gaussian model with what it takes to render it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rtgs.camera import Camera
+from rtgs.gaussians import Gaussians
+from rtgs.geometry import SE3
+from rtgs.radiometry import LinearRange
+from rtgs.render import RenderSettings, render
+
+
+@dataclass(frozen=True, eq=False)
+class RgbModel:
+    """A trained or imported RGB model.
+
+    Attributes:
+        gaussians: C = 3.
+        background: `[3]`, in [0, 1].
+        settings: how it has to be rendered (near plane, anti-aliasing).
+        history: lists of equal length: "step", "gaussians", "held_out_psnr" (dB; empty without held-out frames).
+    """
+
+    gaussians: Gaussians
+    background: Tensor
+    settings: RenderSettings
+    history: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def render(self, camera: Camera, camera_from_world: SE3) -> NDArray[np.float32]:
+        """`[H, W, 3]` in [0, 1], over the background."""
+        with torch.no_grad():
+            view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
+        return view.numpy().clip(0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalModel:
+    """The RGB model's geometry with thermal colours.
+
+    Attributes:
+        gaussians: C = 1, colours in the units of `range`.
+        background: `[1]`, likewise.
+        range: what 0 and 1 mean, in °C (or counts, for a relative capture).
+        settings: how it has to be rendered.
+        sfm_per_metre: the scale whose thermal poses it was fitted at.
+        history: lists of equal length: "step", "loss".
+    """
+
+    gaussians: Gaussians
+    background: Tensor
+    range: LinearRange
+    settings: RenderSettings
+    sfm_per_metre: float
+    history: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def render(self, camera: Camera, camera_from_world: SE3) -> NDArray[np.float32]:
+        """`[h, w]` temperatures in °C (or counts)."""
+        with torch.no_grad():
+            view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
+        return self.range.expand(view[..., 0].numpy())
