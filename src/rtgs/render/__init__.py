@@ -38,11 +38,12 @@ def render(
             densification reads.
 
     Raises:
-        RtgsError: the camera has a lens, or the settings ask for SH bands the model does not have.
+        RtgsError: the camera has a lens; the settings ask for SH bands or weigh channels that the model does not have; "cpu" is given
+            more than four channels, depth included.
     """
     settings = settings or RenderSettings()
     if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        raise RtgsError(f"render: the camera model is {camera.model}; undistort first (Camera.pinhole() and undistort).")
+        raise RtgsError(f"render: the camera model is {camera.model}; undistort first (camera.Undistortion).")
     backend = {"cpu": cpu, "reference": reference}[settings.backend]
     pose = camera_from_world.to_torch(gaussians.means.dtype)
     sh = gaussians.sh
@@ -53,6 +54,10 @@ def render(
     camera_centre = -(pose.rotation.T @ pose.translation)
     colors = backend.colors_from_sh(gaussians.means, sh, camera_centre)
     if settings.channel_weights is not None:
+        if len(settings.channel_weights) != gaussians.channels:
+            raise RtgsError(
+                f"render: channel_weights has {len(settings.channel_weights)} numbers, the model {gaussians.channels} channel(s)."
+            )
         colors = colors @ torch.tensor(settings.channel_weights, dtype=colors.dtype)[:, None]
     if settings.with_depth:  # depth is one more channel
         depths = gaussians.means @ pose.rotation[2] + pose.translation[2]

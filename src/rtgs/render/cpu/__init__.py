@@ -15,9 +15,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from rtgs.camera import Camera
+from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
 from rtgs.render.cpu import projection, sh, tiles
 from rtgs.render.cpu.blend import blend, blend_backward
+from rtgs.render.cpu.channels import MAX_CHANNELS
 
 
 def colors_from_sh(means: Tensor, coefficients: Tensor, camera_centre: Tensor) -> Tensor:
@@ -38,7 +40,15 @@ def rasterize(
     antialiased: bool,
     pixel_offsets: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Image `[H, W, C]`, alpha `[H, W]` and visible `[N]`; see `reference.rasterize`."""
+    """Image `[H, W, C]`, alpha `[H, W]` and visible `[N]`; see `reference.rasterize`.
+
+    Raises:
+        RtgsError: more colour channels than the kernels are written out for, or none.
+    """
+    if not 1 <= colors.shape[1] <= MAX_CHANNELS:
+        raise RtgsError(
+            f"render: {colors.shape[1]} channels (depth counts as one); the cpu back end composites 1 to {MAX_CHANNELS} at once."
+        )
     if pixel_offsets is None:
         pixel_offsets = torch.zeros(len(means), 2)
     return _Rasterize.apply(
@@ -163,9 +173,9 @@ class _Rasterize(torch.autograd.Function):
         g_model = [np.zeros_like(array) for array in model]
         g_offsets = np.zeros((n, 2), np.float32)
         g_pose = np.zeros((projection.CHUNKS, 12))
-        projection.project_backward(
-            *model, *pose, *view, antialiased, order, starts, slots, slot_grads, *g_model, g_offsets, g_colors, g_pose
-        )
+        arguments: list[Any] = [*model, *pose, *view, antialiased, order, starts, slots, slot_grads]
+        arguments += [*g_model, g_offsets, g_colors, g_pose]
+        projection.project_backward(*arguments)
         g_pose_sum = torch.from_numpy(g_pose.sum(0)).to(torch.float32)
         return (
             *(torch.from_numpy(g) for g in g_model),

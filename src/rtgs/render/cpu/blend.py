@@ -1,8 +1,8 @@
 """Composite splats front to back within 16×16 tiles, and the reverse-mode twin. One loop iteration is one tile.
 
-A tile's state lives in small arrays that stay in L1, the inner loop is one pixel row of fixed length that LLVM turns into vectors, and
-the arithmetic is float32. The backward pass also runs front to back: what remains of the pixel's colour is a running difference, so no
-per-pixel lists are kept.
+A tile's state lives in small arrays that stay in L1, the inner loop is one pixel row of fixed length that LLVM turns into vectors,
+and the arithmetic is float32. The backward pass also runs front to back: what remains of the pixel's colour is a running difference,
+so no per-pixel lists are kept.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def _exp_minus(s):
 @nb.njit(inline="always")
 def _rows(s, top):
     """Rows of the tile, counted from `top`, that the splat's bounding box covers."""
-    first = max(0, int(math.ceil(s[Y] - s[HALF_HEIGHT] - top - _HALF)))
-    last = min(TILE, int(math.floor(s[Y] + s[HALF_HEIGHT] - top - _HALF)) + 1)
+    first = max(0, math.ceil(s[Y] - s[HALF_HEIGHT] - top - _HALF))
+    last = min(TILE, math.floor(s[Y] + s[HALF_HEIGHT] - top - _HALF) + 1)
     return first, last
 
 

@@ -1,7 +1,7 @@
 """The few per-channel steps of the blending kernels, written out for 1–4 channels.
 
-LLVM keeps a splat's colours in registers and vectorises the pixel row only when the channel loop does not exist; one specialisation a
-channel count is worth a factor of three. The count travels as the length of a tuple, so it is part of the compiled type.
+LLVM keeps a splat's colours in registers and vectorises the pixel row only when the channel loop does not exist; one specialisation
+a channel count is worth a factor of three. The count travels as the length of a tuple, so it is part of the compiled type.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Project Gaussians to splats, and take a splat's gradients back to the Gaussian and the pose. One loop iteration is one Gaussian.
+"""Project Gaussians to splats, and take a splat's gradients back to Gaussian and pose. One loop iteration is one Gaussian.
 
 Arithmetic is float64 inside an iteration (it is scalar code, so this costs nothing) and float32 in memory.
 
-Letters, fixed here: W, t = camera_from_world; V = W·M with M = R(q)·diag(σ); U = J·V the 2×3 square root of the projected covariance;
-(A, B, C) = the conic, i.e. the inverse covariance [[A, B], [B, C]].
+Letters, fixed here: W, t = camera_from_world; V = W·M with M = R(q)·diag(σ); U = J·V the 2×3 square root of the projected
+covariance; (A, B, C) = the conic, i.e. the inverse covariance [[A, B], [B, C]].
 """
 
 from __future__ import annotations
@@ -91,7 +91,20 @@ def tile_rows(s, height):
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def project(
-    means, quats, log_scales, opacity_logits, offsets, rotation, translation, intrinsics, size, near, antialiased, splats, depths, tiles
+    means,
+    quats,
+    log_scales,
+    opacity_logits,
+    offsets,
+    rotation,
+    translation,
+    intrinsics,
+    size,
+    near,
+    antialiased,
+    splats,
+    depths,
+    tiles,
 ):
     """Fill `splats` `[N, 8]`, `depths` `[N]` and `tiles` `[N]` (tiles touched; 0 = not visible)."""
     for chunk in nb.prange(CHUNKS):

@@ -1,7 +1,7 @@
 """Which splats touch which 16×16 tile, in depth order.
 
-One depth sort of the splats and one counting sort into tiles in that order; no sort per tile. Both passes of the counting sort run
-over fixed blocks of ranks, so the lists come out the same for any number of threads.
+One depth sort of the splats and one counting sort into tiles in that order; no sort per tile. Both passes of the counting sort
+run over fixed blocks of ranks, so the lists come out the same for any number of threads.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def bin_splats(
         starts: `[V + 1]`, running sum of the tiles each splat touches.
 
     Returns:
-        tile_starts `[T + 1]` into ranks; ranks `[S]`, rising within a tile; slots `[S]`, for each splat from `starts[rank]` on, its
-        places in `ranks`.
+        tile_starts `[T + 1]` into ranks; ranks `[S]`, rising within a tile; slots `[S]`, for each splat from `starts[rank]` on,
+        its places in `ranks`.
     """
     tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
     counts = np.zeros((_BLOCKS, tiles_x * tiles_y), np.int64)
