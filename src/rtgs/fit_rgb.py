@@ -17,6 +17,7 @@ from rtgs import sh
 from rtgs.densify import DensifyConfig, Parameters, ScreenGradients, densify, is_round, target_count
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
+from rtgs.io.ply import read_ply
 from rtgs.metrics import psnr
 from rtgs.models import RgbModel
 from rtgs.progress import Progress
@@ -86,9 +87,19 @@ def fit_rgb(
     return training.model()
 
 
-def near_plane(scene: Scene) -> float:
-    """World units."""
-    return NEAR_FRACTION * scene.extent
+def model_from_ply(path: Path, extent: float) -> RgbModel:
+    """A trained 3DGS model instead of our own, over a black background.
+
+    Args:
+        extent: of the scene it belongs to (`Scene.extent`), for the near plane.
+
+    Raises:
+        RtgsError: unreadable, or a one-channel thermal model.
+    """
+    gaussians = read_ply(path)
+    if gaussians.channels != 3:
+        raise RtgsError(f"{path}: a thermal model of one channel; an RGB model is needed.")
+    return RgbModel(gaussians, torch.zeros(3), RenderSettings(near_plane=NEAR_FRACTION * extent))
 
 
 def initial_gaussians(xyz: np.ndarray, rgb: np.ndarray, sh_degree: int) -> Gaussians:
@@ -144,7 +155,7 @@ class _Training:
         self.scene, self.config = scene, config
         self.step = 0
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.settings = RenderSettings(near_plane=near_plane(scene), antialiased=config.antialiased)
+        self.settings = RenderSettings(near_plane=NEAR_FRACTION * scene.extent, antialiased=config.antialiased)
         if len(scene.points):
             xyz, rgb = scene.points.xyz, scene.points.rgb
             if len(xyz) > config.densify.max_gaussians:

@@ -1,0 +1,79 @@
+"""Every setting of a run in one place, and its way to JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union
+
+from rtgs.errors import RtgsError
+from rtgs.fit_rgb import RgbConfig
+from rtgs.fit_thermal import ThermalConfig
+from rtgs.scale import ScaleConfig
+from rtgs.sfm import SfmConfig
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Settings of a run, stage by stage."""
+
+    rgb_max_side: int = 960
+    """RGB images are reduced to this many pixels on their longer side."""
+    rgb_ply: Path | None = None
+    """A trained 3DGS model in the same world frame, to use instead of training one."""
+    sfm: SfmConfig = field(default_factory=SfmConfig)
+    """Structure from motion, where the capture has no poses or no points."""
+    rgb: RgbConfig = field(default_factory=RgbConfig)
+    """The RGB model."""
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    """The metric scale."""
+    thermal: ThermalConfig = field(default_factory=ThermalConfig)
+    """The thermal model."""
+
+
+def to_json(config: Any) -> Any:
+    """Nested dataclasses, paths and tuples as what JSON has."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        return {f.name: to_json(getattr(config, f.name)) for f in dataclasses.fields(config)}
+    if isinstance(config, tuple | list):
+        return [to_json(v) for v in config]
+    return str(config) if isinstance(config, Path) else config
+
+
+def from_json(cls: type[T], data: Any, where: str) -> T:
+    """The inverse of `to_json`; settings that the file does not name keep their defaults.
+
+    Args:
+        where: the file, for messages.
+
+    Raises:
+        RtgsError: a setting this version does not know.
+    """
+    hints = typing.get_type_hints(cls)
+    unknown = set(data) - set(hints)
+    if unknown:
+        raise RtgsError(f"{where}: unknown setting {sorted(unknown)[0]!r} of {cls.__name__}; it was written by another version.")
+    return cls(**{name: _value(hints[name], value, where) for name, value in data.items()})
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (Union, types.UnionType):
+        return None if value is None else _value(next(a for a in arguments if a is not type(None)), value, where)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_json(hint, value, where)
+    if origin is tuple:
+        inner = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
+        return tuple(_value(a, v, where) for a, v in zip(inner, value, strict=True))
+    if hint is float and isinstance(value, int):
+        return float(value)
+    return Path(value) if hint is Path else value
+
+
+Stage = Literal["sfm", "rgb", "scale", "thermal", "evaluate"]
+STAGES: tuple[Stage, ...] = ("sfm", "rgb", "scale", "thermal", "evaluate")

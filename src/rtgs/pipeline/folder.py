@@ -1,0 +1,199 @@
+"""A run on disk: what is where, written whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from rtgs import __version__
+from rtgs.errors import RtgsError
+from rtgs.io.colmap import read_scene, write_scene
+from rtgs.io.ply import read_ply, write_ply
+from rtgs.models import RgbModel, ThermalModel
+from rtgs.pipeline.config import STAGES, RunConfig, Stage, from_json, to_json
+from rtgs.radiometry import LinearRange
+from rtgs.render import RenderSettings
+from rtgs.scale import ScaleEstimate
+from rtgs.scene import Capture, Scene
+
+
+class RunFolder:
+    """The files of a run, and which stages stand.
+
+    A stage stands when `stages.json` names it with the fingerprint of everything it depends on: the capture's files, its own
+    settings and those of the stages before it. The entry is written last, so a killed stage is simply not there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / "rgb.checkpoint"
+
+    @property
+    def renders(self) -> Path:
+        return self.path / "renders"
+
+    # Settings
+
+    def exists(self) -> bool:
+        return (self.path / "config.json").exists()
+
+    def write_config(self, capture: Path, config: RunConfig) -> None:
+        self.path.mkdir(parents=True, exist_ok=True)
+        data = {"version": __version__, "capture": str(capture.resolve()), "settings": to_json(config)}
+        self.write_json("config.json", data)
+
+    def read_config(self) -> tuple[Path, RunConfig]:
+        """The capture's folder and the settings.
+
+        Raises:
+            RtgsError: no run here, or an unreadable file.
+        """
+        if not self.exists():
+            raise RtgsError(
+                f"{self.path}: not a run folder (no config.json). Start one with `rtgs run CAPTURE --out {self.path}`."
+            )
+        data = self.read_json("config.json")
+        where = str(self.path / "config.json")
+        try:
+            return Path(data["capture"]), from_json(RunConfig, data["settings"], where)
+        except (KeyError, TypeError) as error:
+            raise RtgsError(f"{where}: field {error} is missing or wrong; remove the file to start the run over.") from error
+
+    # Stages
+
+    def standing(self) -> dict[str, dict[str, Any]]:
+        """Stage → {"fingerprint", "seconds"}."""
+        path = self.path / "stages.json"
+        return self.read_json(path.name) if path.exists() else {}
+
+    def stands(self, stage: Stage, fingerprint: str) -> bool:
+        return self.standing().get(stage, {}).get("fingerprint") == fingerprint
+
+    def begin(self, stage: Stage) -> None:
+        """From here on neither this stage nor a later one stands."""
+        entries = self.standing()
+        self.write_json("stages.json", {k: v for k, v in entries.items() if k in STAGES[: STAGES.index(stage)]})
+
+    def finish(self, stage: Stage, fingerprint: str, seconds: dict[str, float]) -> None:
+        self.write_json("stages.json", {**self.standing(), stage: {"fingerprint": fingerprint, "seconds": seconds}})
+
+    def seconds(self) -> dict[str, float]:
+        return {name: value for entry in self.standing().values() for name, value in entry["seconds"].items()}
+
+    # Artefacts
+
+    def write_scene(self, scene: Scene, sfm_per_metre: float | None) -> None:
+        temporary, final = self.path / "scene.tmp", self.path / "scene"
+        shutil.rmtree(temporary, ignore_errors=True)
+        write_scene(temporary, scene, sfm_per_metre)
+        shutil.rmtree(final, ignore_errors=True)
+        temporary.rename(final)
+
+    def read_scene(self, capture: Capture) -> Scene:
+        return read_scene(self.path / "scene", capture)
+
+    def write_summary(self, scene: Scene) -> None:
+        """`capture_summary.json`, for the report."""
+        capture = scene.capture
+        self.write_json(
+            "capture_summary.json",
+            {
+                "frames": len(capture.frames),
+                "registered": len(scene.frames),
+                "failures": dict(scene.failures),
+                "warnings": list(capture.warnings),
+                "thermal_unit": capture.thermal_unit,
+                "rgb_size": [scene.rig.rgb.width, scene.rig.rgb.height],
+                "thermal_size": [scene.rig.thermal.width, scene.rig.thermal.height],
+                "baseline_m": scene.rig.baseline_m,
+            },
+        )
+
+    def write_rgb(self, model: RgbModel) -> None:
+        write_ply(self.path / "rgb.ply", model.gaussians)
+        self._write_model("rgb.json", model)
+
+    def read_rgb(self) -> RgbModel:
+        data = self.read_json("rgb.json")
+        return RgbModel(read_ply(self.path / "rgb.ply"), *self._common(data), data["history"])
+
+    def write_thermal(self, model: ThermalModel, name: str = "thermal") -> None:
+        write_ply(self.path / f"{name}.ply", model.gaussians, celsius_range=(model.range.lo, model.range.hi))
+        self._write_model(
+            f"{name}.json", model, range={"lo": model.range.lo, "hi": model.range.hi}, sfm_per_metre=model.sfm_per_metre
+        )
+
+    def read_thermal(self, name: str = "thermal") -> ThermalModel:
+        data = self.read_json(f"{name}.json")
+        background, settings = self._common(data)
+        return ThermalModel(
+            read_ply(self.path / f"{name}.ply"),
+            background,
+            LinearRange(**data["range"]),
+            settings,
+            data["sfm_per_metre"],
+            data["history"],
+        )
+
+    def write_scale(self, estimate: ScaleEstimate) -> None:
+        self.write_json("scale.json", estimate.to_json())
+
+    def read_scale(self) -> ScaleEstimate:
+        return ScaleEstimate.from_json(self.read_json("scale.json"))
+
+    def write_json(self, name: str, data: Any) -> None:
+        """Whole or not at all."""
+        path = self.path / name
+        temporary = path.with_name(path.name + ".tmp")
+        temporary.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.replace(path)
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        path = self.path / name
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise RtgsError(f"{path}: missing; `rtgs run` on this folder makes it.") from None
+        except ValueError as error:
+            raise RtgsError(f"{path}: unreadable ({error}); remove it and run again.") from error
+
+    def _write_model(self, name: str, model: RgbModel | ThermalModel, **more: Any) -> None:
+        common = {"background": model.background.tolist(), "settings": asdict(model.settings), "history": dict(model.history)}
+        self.write_json(name, common | more)
+
+    @staticmethod
+    def _common(data: dict[str, Any]) -> tuple[torch.Tensor, RenderSettings]:
+        return torch.tensor(data["background"], dtype=torch.float32), RenderSettings(**data["settings"])
+
+
+def fingerprints(capture: Path, config: RunConfig) -> dict[Stage, str]:
+    """What each stage depends on, as a hash chained from stage to stage.
+
+    The capture counts by the names, sizes and times of its files; `ground_truth*` is nobody's input.
+    """
+    files = sorted(
+        p for p in capture.rglob("*") if p.is_file() and not p.relative_to(capture).parts[0].startswith("ground_truth")
+    )
+    listing = [(str(p.relative_to(capture)), p.stat().st_size, p.stat().st_mtime_ns) for p in files]
+    ply = config.rgb_ply
+    own: dict[Stage, Any] = {
+        "sfm": [listing, config.rgb_max_side, to_json(config.sfm)],
+        "rgb": [to_json(config.rgb), [str(ply), ply.stat().st_mtime_ns] if ply and ply.exists() else str(ply)],
+        "scale": to_json(config.scale),
+        "thermal": to_json(config.thermal),
+        "evaluate": None,
+    }
+    chain, result = "", {}
+    for stage in STAGES:
+        chain = hashlib.sha256((chain + json.dumps(own[stage])).encode()).hexdigest()[:16]
+        result[stage] = chain
+    return result
