@@ -47,7 +47,8 @@ class _Level:
     @staticmethod
     def of(image: Tensor, epsilon: float, mask: Tensor) -> _Level:
         valid = erode_for_sobel(mask)
-        return _Level(normalized_gradient(image, epsilon) * valid, int(valid.sum()))
+        gradient = normalized_gradient(image, epsilon)
+        return _Level(torch.where(valid, gradient, torch.zeros_like(gradient)), int(valid.sum()))  # not a product: NaN · 0
 
     def loss(self, gradient: Tensor) -> Tensor:
         # A pixel outside the mask contributes 0 to the sum and is not counted.
