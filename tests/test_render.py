@@ -138,6 +138,24 @@ def test_reference_gradient_equals_finite_differences(degree: int, channels: int
     assert torch.autograd.gradcheck(picture, leaves, eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
+def test_render_gradient_equals_finite_differences() -> None:
+    # Through the one entrance: the view direction of the colours and the depth channel are wired there. Two Gaussians wide and faint
+    # enough that no pixel of the picture is near a cut-off.
+    camera = pinhole(5, 4)
+    model = cloud(2, 3, 1, seed=3, size=1.5).to(torch.float64)
+    model.sh[:, 0] = 1.0
+    model = replace(model, opacity_logits=torch.tensor([-0.5, 0.3], dtype=torch.float64))
+
+    def picture(means: Tensor, sh: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
+        settings = RenderSettings(backend="reference", with_depth=True)
+        view = render(replace(model, means=means, sh=sh), camera, SE3(rotation, translation), settings=settings)
+        assert view.alpha.min() > 0.05 and view.depth is not None
+        return torch.cat([view.color, view.alpha[..., None], view.depth[..., None]], dim=-1)
+
+    leaves = [x.clone().requires_grad_() for x in (model.means, model.sh, POSE.rotation, POSE.translation)]
+    assert torch.autograd.gradcheck(picture, leaves, eps=1e-6, atol=1e-6, rtol=1e-5)
+
+
 # --- the compiled back end against the reference ---------------------------------------------------
 
 
