@@ -1,3 +1,88 @@
-"""Metric-scale RGB–thermal Gaussian splatting."""
+"""Metric-scale RGB–thermal Gaussian splatting: folders of synchronised RGB and thermal photographs in, one metric model out.
+
+>>> import rtgs
+>>> scene = rtgs.run_sfm(rtgs.load_capture("capture"))
+>>> rgb = rtgs.fit_rgb(scene)
+>>> scale = rtgs.estimate_scale(scene, rgb)
+>>> thermal = rtgs.fit_thermal(scene, rgb, scale.sfm_per_metre)
+>>> rtgs.evaluate(scene, rgb, thermal)["thermal"]["mae_c"]
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from rtgs.camera import Camera
+    from rtgs.errors import RtgsError
+    from rtgs.evaluate import evaluate
+    from rtgs.fit_rgb import RgbConfig, fit_rgb
+    from rtgs.fit_thermal import ThermalConfig, fit_thermal
+    from rtgs.gaussians import Gaussians
+    from rtgs.geometry import SE3, Sim3
+    from rtgs.io.capture import load_capture
+    from rtgs.io.ply import read_ply, write_ply
+    from rtgs.models import RgbModel, ThermalModel
+    from rtgs.render import Render, RenderSettings, render
+    from rtgs.scale import ScaleConfig, ScaleEstimate, estimate_scale
+    from rtgs.scene import Capture, Frame, Rig, Scene
+    from rtgs.sfm import SfmConfig, run_sfm
+
+_WHERE = {
+    "camera": ("Camera",),
+    "errors": ("RtgsError",),
+    "evaluate": ("evaluate",),
+    "fit_rgb": ("RgbConfig", "fit_rgb"),
+    "fit_thermal": ("ThermalConfig", "fit_thermal"),
+    "gaussians": ("Gaussians",),
+    "geometry": ("SE3", "Sim3"),
+    "io.capture": ("load_capture",),
+    "io.ply": ("read_ply", "write_ply"),
+    "models": ("RgbModel", "ThermalModel"),
+    "render": ("Render", "RenderSettings", "render"),
+    "scale": ("ScaleConfig", "ScaleEstimate", "estimate_scale"),
+    "scene": ("Capture", "Frame", "Rig", "Scene"),
+    "sfm": ("SfmConfig", "run_sfm"),
+}
+_MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
+__all__ = [
+    "SE3",
+    "Camera",
+    "Capture",
+    "Frame",
+    "Gaussians",
+    "Render",
+    "RenderSettings",
+    "RgbConfig",
+    "RgbModel",
+    "Rig",
+    "RtgsError",
+    "ScaleConfig",
+    "ScaleEstimate",
+    "Scene",
+    "SfmConfig",
+    "Sim3",
+    "ThermalConfig",
+    "ThermalModel",
+    "estimate_scale",
+    "evaluate",
+    "fit_rgb",
+    "fit_thermal",
+    "load_capture",
+    "read_ply",
+    "render",
+    "run_sfm",
+    "write_ply",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded on first use: `import rtgs` alone should not cost what torch costs.
+    if name in _MODULE_OF:
+        value = getattr(import_module(f"rtgs.{_MODULE_OF[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'rtgs' has no attribute {name!r}")

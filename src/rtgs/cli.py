@@ -1,0 +1,254 @@
+"""The command line: `rtgs COMMAND`. No algorithm lives here.
+
+Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one message on stderr), 130 stopped with Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+
+from rtgs import __version__
+from rtgs.densify import DensifyConfig
+from rtgs.errors import RtgsError
+from rtgs.fit_rgb import RgbConfig
+from rtgs.fit_thermal import ThermalConfig
+from rtgs.pipeline import Pipeline, RunConfig, RunFolder, Stage
+from rtgs.pipeline.export import export
+from rtgs.pipeline.views import render_views
+from rtgs.progress import Progress
+from rtgs.report import write_report
+from rtgs.scale import ScaleConfig
+from rtgs.sfm import SfmConfig
+from rtgs.synthetic import SynthConfig, write_capture
+
+Folder = tyro.conf.Positional[Path]
+Flat = tyro.conf.arg(name="")  # a config's fields become flags without a prefix
+
+_SYNTH = SynthConfig()
+DEMO_CAPTURE = SynthConfig(scene="lego", frames=40, size=200, seed=3)
+DEMO_RUN = RunConfig(rgb=RgbConfig(steps=2000, densify=DensifyConfig(max_gaussians=30_000)), thermal=ThermalConfig(steps=600))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the `rtgs` command."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments[:1] == ["--version"]:
+        print(f"rtgs {__version__}")
+        return
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            _commands(_saved_settings(arguments)),
+            prog="rtgs",
+            description="From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both.",
+            args=arguments or ["--help"],
+        )
+    except RtgsError as error:
+        Console(stderr=True).print(f"[bold red]error:[/] {error}", highlight=False, soft_wrap=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        Console(stderr=True).print("stopped; the same command goes on from here")
+        sys.exit(130)
+
+
+def _saved_settings(arguments: Sequence[str]) -> RunConfig:
+    """Settings of the run that the command line names: a flag changes one of them, the others stay as they were."""
+    for i, argument in enumerate(arguments):
+        candidate = argument.removeprefix("--out=")
+        if (i == 1 or arguments[i - 1] == "--out" or candidate != argument) and RunFolder(Path(candidate)).exists():
+            return RunFolder(Path(candidate)).read_config()[1]
+    return RunConfig()
+
+
+def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
+    def run(capture: Folder, out: Path, config: Annotated[RunConfig, Flat] = saved) -> None:
+        """The whole job: capture folder in, metric RGB and thermal models and a report out.
+
+        Stages that stand from an earlier call with the same settings are not done again.
+
+        Args:
+            capture: folder with rgb/, thermal/ and rig.json, and poses if there are any.
+            out: the run folder.
+            config: settings.
+        """
+        reporter = Terminal()
+        pipeline = Pipeline.start(capture, out, config, reporter)
+        try:
+            pipeline.run()
+        finally:
+            _report(pipeline, reporter)
+
+    def sfm(
+        capture: Folder, out: Path, config: Annotated[SfmConfig, Flat] = saved.sfm, rgb_max_side: int = saved.rgb_max_side
+    ) -> None:
+        """Start a run: RGB poses and sparse points, or the check of those that came with the capture.
+
+        Args:
+            capture: folder with rgb/, thermal/ and rig.json, and poses if there are any.
+            out: the run folder.
+            config: settings.
+            rgb_max_side: RGB images are reduced to this many pixels on their longer side.
+        """
+        settings = replace(saved, sfm=config, rgb_max_side=rgb_max_side)
+        _stage(Pipeline.start(capture, out, settings, Terminal()), "sfm")
+
+    def rgb(run: Folder, config: Annotated[RgbConfig, Flat] = saved.rgb, rgb_ply: Path | None = saved.rgb_ply) -> None:
+        """Train the RGB model, or import one.
+
+        Args:
+            run: the run folder.
+            config: settings.
+            rgb_ply: a trained 3DGS model in the same world frame, to use instead of training one.
+        """
+        _stage(_changed(run, rgb=config, rgb_ply=rgb_ply), "rgb")
+
+    def scale(run: Folder, config: Annotated[ScaleConfig, Flat] = saved.scale) -> None:
+        """Find the metric scale.
+
+        Args:
+            run: the run folder.
+            config: settings.
+        """
+        _stage(_changed(run, scale=config), "scale")
+
+    def thermal(run: Folder, config: Annotated[ThermalConfig, Flat] = saved.thermal) -> None:
+        """Fit the thermal model, and the control at scale 1.
+
+        Args:
+            run: the run folder.
+            config: settings.
+        """
+        _stage(_changed(run, thermal=config), "thermal")
+
+    def eval_(run: Folder) -> None:
+        """Score held-out views, draw them, and write the report.
+
+        Args:
+            run: the run folder.
+        """
+        reporter = Terminal()
+        pipeline = Pipeline(RunFolder(run), reporter)
+        pipeline.run("evaluate", again=True)
+        _report(pipeline, reporter)
+
+    def render(run: Folder, out: Path, frames: tuple[str, ...] = (), viewpoint: Literal["rgb", "thermal"] = "rgb") -> None:
+        """Render RGB, temperature and depth from the cameras of a run.
+
+        Args:
+            run: the run folder.
+            out: folder for NAME.rgb.png, NAME.thermal.png, NAME.thermal.tiff (°C) and NAME.depth.tiff (metres).
+            frames: names of frames; all when none is given.
+            viewpoint: whose camera to look through; everything is rendered from there, so it is aligned.
+        """
+        reporter = Terminal()
+        pipeline = Pipeline(RunFolder(run), reporter)
+        with reporter.stage("views") as progress:
+            render_views(pipeline.folder, pipeline.scene, out, frames, viewpoint=viewpoint, progress=progress)
+        reporter.say(f"views: {out}")
+
+    def export_(run: Folder, out: Path, metres: bool = False) -> None:
+        """Write the models and poses for other programs.
+
+        Args:
+            run: the run folder.
+            out: folder for rgb.ply, thermal.ply, transforms.json and a COLMAP model.
+            metres: lengths in metres instead of SfM units.
+        """
+        reporter = Terminal()
+        pipeline = Pipeline(RunFolder(run), reporter)
+        for path in export(pipeline.folder, pipeline.scene, out, metres=metres):
+            reporter.say(f"wrote {path}")
+
+    def synth(out: Path, config: Annotated[SynthConfig, Flat] = _SYNTH) -> None:
+        """Make a synthetic capture with known truth.
+
+        Args:
+            out: the capture folder.
+            config: settings.
+        """
+        reporter = Terminal()
+        with reporter.stage(f"synthetic {config.scene}") as progress:
+            truth = write_capture(out, config, progress=lambda done, total: progress(done, total, ""))
+        reporter.say(f"synth: {config.frames} pairs in {out}, true scale {truth.sfm_per_metre:.6g} SfM units per metre")
+
+    def demo(out: Path = Path("rtgs-demo")) -> None:
+        """See the whole method work: a small synthetic capture, a run, and the truth beside the result.
+
+        Args:
+            out: folder for the capture and the run.
+        """
+        synth(out / "capture", DEMO_CAPTURE)
+        run(out / "capture", out / "run", DEMO_RUN)
+        truth = RunFolder(out / "capture").read_json("ground_truth.json")["sfm_per_metre"]
+        found = RunFolder(out / "run").read_scale().sfm_per_metre
+        error = 100 * abs(found / truth - 1)
+        Terminal().say(f"true scale {truth:.5g}, found {found:.5g} SfM units per metre: off by {error:.3f} %")
+
+    return {
+        "run": run,
+        "sfm": sfm,
+        "rgb": rgb,
+        "scale": scale,
+        "thermal": thermal,
+        "eval": eval_,
+        "render": render,
+        "export": export_,
+        "synth": synth,
+        "demo": demo,
+    }
+
+
+def _changed(run: Path, **settings: Any) -> Pipeline:
+    """The pipeline of an existing run with some settings replaced, and written down."""
+    folder = RunFolder(run)
+    capture, config = folder.read_config()
+    folder.write_config(capture, replace(config, **settings))
+    return Pipeline(folder, Terminal())
+
+
+def _stage(pipeline: Pipeline, stage: Stage) -> None:
+    pipeline.run(stage)
+    _report(pipeline, pipeline.reporter)
+
+
+def _report(pipeline: Pipeline, reporter: Any) -> None:
+    reporter.say(f"report: {write_report(pipeline.folder.path)}")
+
+
+class Terminal:
+    """A `Reporter` on a terminal: a bar with the time left while work goes on, a line when it is done."""
+
+    def __init__(self) -> None:
+        self.console = Console()
+
+    def say(self, text: str) -> None:
+        self.console.print(text, highlight=False, soft_wrap=True)
+
+    @contextmanager
+    def stage(self, title: str) -> Iterator[Progress]:
+        bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("[dim]{task.fields[text]}"),
+            console=self.console,
+        )
+        with bar:
+            task = bar.add_task(title, total=None, text="")
+            yield lambda done, total, text: bar.update(task, completed=done, total=total, text=text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Take a run's results elsewhere, in SfM units or in metres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from rtgs.geometry import SE3
+from rtgs.io.colmap import write_scene
+from rtgs.io.ply import write_ply
+from rtgs.io.transforms import write_transforms
+from rtgs.pipeline.folder import RunFolder
+from rtgs.scene import Scene, SparsePoints
+
+
+def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[Path]:
+    """Write `rgb.ply`, `thermal.ply`, `transforms.json` (RGB poses, nerfstudio form) and `scene/` (COLMAP, both cameras as a rig).
+
+    Args:
+        metres: multiply means, sizes, poses and points by `metres_per_sfm`; else everything stays in the unit of the run.
+
+    Returns:
+        What was written.
+    """
+    scale = folder.read_scale()
+    factor = scale.metres_per_sfm if metres else 1.0
+    out.mkdir(parents=True, exist_ok=True)
+    rgb, thermal = folder.read_rgb(), folder.read_thermal()
+    write_ply(out / "rgb.ply", rgb.gaussians.scaled(factor))
+    write_ply(out / "thermal.ply", thermal.gaussians.scaled(factor), celsius_range=(thermal.range.lo, thermal.range.hi))
+    scaled = scaled_scene(scene, factor)
+    files = {name: f"rgb/{name}.png" for name in scaled.world_from_rgb}
+    write_transforms(out / "transforms.json", scene.rig.rgb, scaled.world_from_rgb, files)
+    write_scene(out / "scene", scaled, scale.sfm_per_metre * factor)
+    return [out / name for name in ("rgb.ply", "thermal.ply", "transforms.json", "scene")]
+
+
+def scaled_scene(scene: Scene, factor: float) -> Scene:
+    """Poses and points in a unit in which every length is `factor` times larger."""
+    return replace(
+        scene,
+        world_from_rgb={k: SE3(p.rotation, p.translation * factor) for k, p in scene.world_from_rgb.items()},
+        points=SparsePoints(scene.points.xyz * factor, scene.points.rgb),
+    )

@@ -1,0 +1,71 @@
+"""Pictures, temperatures and depth from a run's models, pixel for pixel on top of each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from PIL import Image
+
+from rtgs.errors import RtgsError
+from rtgs.pictures import palette, save_png, to_picture, with_colour_bar
+from rtgs.pipeline.folder import RunFolder
+from rtgs.progress import Progress
+from rtgs.render import render
+from rtgs.scene import Scene
+
+
+def render_views(
+    folder: RunFolder,
+    scene: Scene,
+    out: Path,
+    names: Sequence[str],
+    *,
+    viewpoint: Literal["rgb", "thermal"],
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Render both models from one camera of each frame.
+
+    Writes for each name `NAME.rgb.png`, `NAME.thermal.png` (palette with a bar), `NAME.thermal.tiff` (float32, °C or counts) and
+    `NAME.depth.tiff` (float32 metres along the optical axis; NaN where the model covers less than half of the pixel).
+
+    Args:
+        names: frames; all registered ones when empty.
+        viewpoint: whose camera to look through; both models are rendered there, so RGB, temperature and depth are aligned.
+
+    Raises:
+        RtgsError: a name that is no registered frame, or a run without a thermal model.
+    """
+    unknown = sorted(set(names) - set(scene.world_from_rgb))
+    if unknown:
+        some = ", ".join(list(scene.world_from_rgb)[:3])
+        raise RtgsError(f"render: frame {unknown[0]!r} is not in the run; its frames are {some}, …")
+    rgb, thermal, scale = folder.read_rgb(), folder.read_thermal(), folder.read_scale()
+    camera = scene.rig.rgb if viewpoint == "rgb" else scene.rig.thermal
+    unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
+    chosen = list(names) or [f.name for f in scene.frames]
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for done, name in enumerate(chosen):
+        pose = scene.rgb_from_world(name) if viewpoint == "rgb" else scene.thermal_from_world(name, scale.sfm_per_metre)
+        temperature = thermal.render(camera, pose)
+        lo, hi = thermal.range.lo, thermal.range.hi
+        save_png(out / f"{name}.rgb.png", to_picture(rgb.render(camera, pose)))
+        save_png(out / f"{name}.thermal.png", with_colour_bar(palette(temperature, lo, hi), lo, hi, unit))
+        with torch.no_grad():
+            view = render(rgb.gaussians, camera, pose, settings=replace(rgb.settings, with_depth=True))
+        assert view.depth is not None
+        alpha = view.alpha.numpy()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            depth_m = np.where(alpha > 0.5, view.depth.numpy() / alpha * scale.metres_per_sfm, np.nan)
+        for kind, values in (("thermal", temperature), ("depth", depth_m)):
+            path = out / f"{name}.{kind}.tiff"
+            Image.fromarray(values.astype(np.float32)).save(path)
+            written.append(path)
+        if progress is not None:
+            progress(done + 1, len(chosen), name)
+    return written
