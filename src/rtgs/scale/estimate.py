@@ -84,8 +84,9 @@ class ScaleEstimate:
     Attributes:
         sfm_per_metre: SfM units per metre (the paper's s).
         std_log: standard deviation of ln s, bootstrap over frames. It holds the scatter between frames, not the calibration's error.
-        ci95: its 2.5 and 97.5 percentiles, of `sfm_per_metre`.
-        status, reason: "unobservable" when the scan's minimum lies at an end of the bracket, and why in words.
+            None with a single frame.
+        ci95: its 2.5 and 97.5 percentiles, of `sfm_per_metre`; None likewise.
+        status, reason: "unobservable" when the scan's minimum lies at an end of the bracket, or the answer outside it; why, in words.
         init: where Adam started. bracket: scales the images can tell apart.
         baseline_m: |t| of the rig. frames: those used.
         local: the loss close to the answer; the bootstrap's curve.
@@ -159,7 +160,7 @@ def estimate_scale(
     counter = _Counter(scan_work + config.steps * batch + len(_LOCAL) * len(frames), progress)
 
     limits = bracket(flow_per_unit(scene, model.gaussians, model.settings), scene.rig.thermal.width)
-    scan, status, reason = None, "ok", ""
+    scan, reason = None, ""
     if config.init is None:
         thetas = np.linspace(math.log(limits[0]), math.log(limits[1]), config.scan_samples)
         curves = _curves(objective, thetas, counter, "scan")
@@ -167,24 +168,27 @@ def estimate_scale(
         best = int(np.argmin(curves.mean(axis=0)))
         init = float(np.exp(thetas[best]))
         if best in (0, len(thetas) - 1):
-            status = "unobservable"
             side = "below" if best == 0 else "above"
-            reason = (
-                f"the loss is lowest at an end of the scan: the scale lies {side} what the images can tell "
-                f"({limits[0]:.4g} to {limits[1]:.4g} SfM units per metre), or the edges of the two modalities do not agree."
-            )
+            reason = f"the loss is lowest at an end of the scan: the scale lies {side}"
     else:
         init = config.init
 
     theta, history = adam(objective, math.log(init), config, counter)
+    if not reason and not limits[0] <= math.exp(theta) <= limits[1]:
+        reason = f"the scale found, {math.exp(theta):.4g}, lies {'below' if math.exp(theta) < limits[0] else 'above'}"
+    if reason:
+        reason += (
+            f" what the images can tell ({limits[0]:.4g} to {limits[1]:.4g} SfM units per metre), "
+            "or the edges of the two modalities do not agree."
+        )
     local_thetas = theta + _LOCAL
     local_curves = _curves(objective, local_thetas, counter, "interval")
-    std_log, ci95 = bootstrap(local_thetas, local_curves, config.seed)
+    std_log, ci95 = bootstrap(local_thetas, local_curves, config.seed) if len(frames) > 1 else (None, None)
     return ScaleEstimate(
         sfm_per_metre=math.exp(theta),
         std_log=std_log,
         ci95=ci95,
-        status="unobservable" if status == "unobservable" else "ok",
+        status="unobservable" if reason else "ok",
         reason=reason,
         solver="adam",
         init=init,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -42,7 +43,7 @@ class Objective:
         self._gaussians = gaussians
         self._dtype = gaussians.means.dtype
         self._background = to_gray(background).to(self._dtype)
-        self._settings = RenderSettings(settings.backend, settings.near_plane, settings.antialiased, channel_weights=GRAY_WEIGHTS)
+        self._settings = replace(settings, with_depth=False, channel_weights=GRAY_WEIGHTS)
         self._camera: Camera = scene.rig.thermal
         self._rgb_from_thermal = scene.rig.rgb_from_thermal.to_torch(torch.float64)
         self._world_from_rgb = [scene.world_from_rgb[f.name].to_torch(torch.float64) for f in frames]
