@@ -24,7 +24,7 @@ from rtgs.progress import Progress
 from rtgs.render import RenderSettings, render
 from rtgs.render.reference import rotation_from_quats
 from rtgs.scene import Frame, Scene
-from rtgs.ssim import ssim
+from rtgs.ssim import ssim, whole_windows
 
 NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
 
@@ -66,11 +66,13 @@ def fit_rgb(
         progress: called with (step, steps, text).
 
     Raises:
-        RtgsError: no training frame, or a checkpoint of another configuration.
+        RtgsError: no training frame, cameras all in one point, or a checkpoint of another configuration.
     """
     config = config or RgbConfig()
     if not scene.train_frames:
         raise RtgsError("fit_rgb: the scene has no training frame (every registered frame is held out).")
+    if scene.extent == 0.0:
+        raise RtgsError("fit_rgb: all frames were taken from one point; depth needs cameras that stand apart.")
     training = _Training(scene, config)
     if checkpoint is not None and checkpoint.exists():
         training.restore(checkpoint)
@@ -162,7 +164,7 @@ class _Training:
                 chosen = np.random.default_rng(config.seed).permutation(len(xyz))[: config.densify.max_gaussians]
                 xyz, rgb = xyz[chosen], rgb[chosen]
         else:
-            xyz, rgb = _random_points(scene, config.random_points, config.seed)
+            xyz, rgb = _random_points(scene, min(config.random_points, config.densify.max_gaussians), config.seed)
         start = initial_gaussians(xyz, rgb, config.sh_degree)
         self.initial = len(start)
         tensors = start.tensors()
@@ -193,7 +195,7 @@ class _Training:
         self.order: list[int] = []
         self.history: dict[str, list[float]] = {"step": [], "gaussians": [], "held_out_psnr": []}
         self._images: dict[tuple[str, int], Tensor] = {}
-        self._masks: dict[int, Tensor | None] = {}
+        self._masks: dict[int, tuple[Tensor, Tensor] | None] = {}
 
     def _initial_background(self) -> Tensor:
         if self.config.background != "learned":
@@ -223,13 +225,15 @@ class _Training:
             self._images[key] = torch.from_numpy(small)
         return self._images[key]
 
-    def mask(self, factor: int) -> Tensor | None:
+    def mask(self, factor: int) -> tuple[Tensor, Tensor] | None:
+        """Valid pixels and the centres of SSIM windows that see nothing else, `[H, W]` bool each; None when all are."""
         if factor not in self._masks:
             mask = self.scene.capture.rgb_mask
             if factor > 1:
                 size = (mask.shape[1] // factor, mask.shape[0] // factor)
                 mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-            self._masks[factor] = None if mask.all() else torch.from_numpy(np.ascontiguousarray(mask))
+            pixels = torch.from_numpy(np.ascontiguousarray(mask))
+            self._masks[factor] = None if mask.all() else (pixels, whole_windows(pixels))
         return self._masks[factor]
 
     def gaussians(self) -> Gaussians:
@@ -246,7 +250,7 @@ class _Training:
         k = self.order.pop()
         frame = scene.train_frames[k]
         factor = self.factor()
-        target, mask = self.image(frame, factor), self.mask(factor)
+        target, masks = self.image(frame, factor), self.mask(factor)
         camera = scene.rig.rgb.resized(target.shape[1], target.shape[0])
 
         progress = self.step / config.steps
@@ -260,11 +264,13 @@ class _Training:
         image = view.over(self.frame_parameters["background"])
         if config.exposure:
             image = image * self.frame_parameters["gain"][k] + self.frame_parameters["offset"][k]
-        if mask is None:
+        if masks is None:
+            windows = None
             l1 = (image - target).abs().mean()
         else:
-            l1 = ((image - target).abs() * mask[..., None]).sum() / (3 * mask.sum())
-        loss = l1 + config.ssim_weight * (1.0 - ssim(image, target, mask=mask))
+            pixels, windows = masks
+            l1 = ((image - target).abs() * pixels[..., None]).sum() / (3 * pixels.sum())
+        loss = l1 + config.ssim_weight * (1.0 - ssim(image, target, mask=windows))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
 
