@@ -277,8 +277,8 @@ def degenerate(kind: str, near: float = 0.5) -> Gaussians:
         logit = -1e4
     elif kind == "just too faint":
         logit = math.log(1 / 254) - 1e-3  # opacity a little below 1/255
-    elif kind == "saturated":
-        logit = 1e4
+    elif kind == "saturated":  # α is held at 0.999 over many pixels
+        sigma, logit = [2.0, 1.5, 3.0], 1e4
     elif kind == "long quaternion":
         quat = [1e4, 2e4, -1e4, 3e4]
     elif kind == "short quaternion":
