@@ -180,6 +180,16 @@ def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
     assert (off.frame_parameters["gain"] == 1).all() and (off.frame_parameters["offset"] == 0).all()
 
 
+def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> None:
+    scene = synthetic()
+    training = _Training(scene, replace(QUICK, steps=10))
+    rates = []
+    for _ in range(10):
+        training.advance()
+        rates.append(next(g["lr"] for g in training.optimizer.param_groups if g["name"] == "means"))
+    np.testing.assert_allclose(rates, 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
+
+
 @pytest.mark.parametrize(("background", "expected"), [("black", 0.0), ("white", 1.0)])
 def test_a_fixed_background_stays(background: str, expected: float) -> None:
     model = fit_rgb(synthetic(), replace(QUICK, steps=5, background=background))
