@@ -190,6 +190,14 @@ def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> Non
     np.testing.assert_allclose(rates, 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
 
 
+def test_the_background_starts_at_the_median_border_of_the_training_frames() -> None:
+    scene = synthetic()
+    grays = {f.name: 0.1 * (k + 1) for k, f in enumerate(scene.train_frames)} | {f.name: 1.0 for f in scene.held_out_frames}
+    flat = with_images(scene, {name: np.full((40, 40, 3), gray, np.float32) for name, gray in grays.items()})
+    background = _Training(flat, QUICK).frame_parameters["background"]
+    torch.testing.assert_close(background.detach(), torch.full((3,), 0.45))  # of 0.1, 0.2, …, 0.8
+
+
 @pytest.mark.parametrize(("background", "expected"), [("black", 0.0), ("white", 1.0)])
 def test_a_fixed_background_stays(background: str, expected: float) -> None:
     model = fit_rgb(synthetic(), replace(QUICK, steps=5, background=background))
