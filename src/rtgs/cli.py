@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -35,8 +35,12 @@ Folder = tyro.conf.Positional[Path]
 Flat = tyro.conf.arg(name="")  # a config's fields become flags without a prefix
 
 _SYNTH = SynthConfig()
-DEMO_CAPTURE = SynthConfig(scene="lego", frames=40, size=200, seed=3)
-DEMO_RUN = RunConfig(rgb=RgbConfig(steps=2000, densify=DensifyConfig(max_gaussians=30_000)), thermal=ThermalConfig(steps=600))
+DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
+DEMO_RUN = RunConfig(
+    rgb=RgbConfig(steps=1500, densify=DensifyConfig(max_gaussians=15_000)),
+    scale=ScaleConfig(batch=12),
+    thermal=ThermalConfig(steps=500),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -53,18 +57,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
             args=arguments or ["--help"],
         )
     except RtgsError as error:
-        Console(stderr=True).print(f"[bold red]error:[/] {error}", highlight=False, soft_wrap=True)
+        _complain(str(error))
+        sys.exit(2)
+    except OSError as error:  # a full disk, a folder that may not be written
+        _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         sys.exit(2)
     except KeyboardInterrupt:
         Console(stderr=True).print("stopped; the same command goes on from here")
         sys.exit(130)
 
 
+def _complain(text: str) -> None:
+    console = Console(stderr=True)
+    console.print("error:", style="bold red", end=" ")
+    console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)  # a path may hold [brackets]
+
+
 def _saved_settings(arguments: Sequence[str]) -> RunConfig:
     """Settings of the run that the command line names: a flag changes one of them, the others stay as they were."""
-    for i, argument in enumerate(arguments):
-        candidate = argument.removeprefix("--out=")
-        if (i == 1 or arguments[i - 1] == "--out" or candidate != argument) and RunFolder(Path(candidate)).exists():
+    command, rest = arguments[0] if arguments else "", list(arguments[1:])
+    named: list[str] = []
+    if command in ("run", "sfm"):
+        named = [rest[i + 1] for i, a in enumerate(rest[:-1]) if a == "--out"]
+        named += [a.removeprefix("--out=") for a in rest if a.startswith("--out=")]
+    elif command in ("rgb", "scale", "thermal"):
+        named = rest  # the run is the positional one, before the flags or after them
+    for candidate in named:
+        if RunFolder(Path(candidate)).exists():
             return RunFolder(Path(candidate)).read_config()[1]
     return RunConfig()
 
@@ -167,6 +186,9 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         pipeline = Pipeline(RunFolder(run), reporter)
         for path in export(pipeline.folder, pipeline.scene, out, metres=metres):
             reporter.say(f"wrote {path}")
+        estimate = pipeline.folder.read_scale()
+        if metres and estimate.status != "ok":
+            reporter.say(f"warning: these are hardly metres: {estimate.reason}")
 
     def synth(out: Path, config: Annotated[SynthConfig, Flat] = _SYNTH) -> None:
         """Make a synthetic capture with known truth.
@@ -186,7 +208,10 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         Args:
             out: folder for the capture and the run.
         """
-        synth(out / "capture", DEMO_CAPTURE)
+        capture = RunFolder(out / "capture")
+        made = (capture.path / "rig.json").exists() and (capture.path / "ground_truth.json").exists()
+        if not made or capture.read_json("ground_truth.json")["config"] != asdict(DEMO_CAPTURE):
+            synth(out / "capture", DEMO_CAPTURE)  # only then: new files would have the run start over
         run(out / "capture", out / "run", DEMO_RUN)
         truth = RunFolder(out / "capture").read_json("ground_truth.json")["sfm_per_metre"]
         found = RunFolder(out / "run").read_scale().sfm_per_metre
@@ -209,10 +234,7 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
 
 def _changed(run: Path, **settings: Any) -> Pipeline:
     """The pipeline of an existing run with some settings replaced, and written down."""
-    folder = RunFolder(run)
-    capture, config = folder.read_config()
-    folder.write_config(capture, replace(config, **settings))
-    return Pipeline(folder, Terminal())
+    return Pipeline.changed(RunFolder(run), Terminal(), **settings)
 
 
 def _stage(pipeline: Pipeline, stage: Stage) -> None:
@@ -231,7 +253,7 @@ class Terminal:
         self.console = Console()
 
     def say(self, text: str) -> None:
-        self.console.print(text, highlight=False, soft_wrap=True)
+        self.console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def stage(self, title: str) -> Iterator[Progress]:
@@ -242,7 +264,7 @@ class Terminal:
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
-            TextColumn("[dim]{task.fields[text]}"),
+            TextColumn("{task.fields[text]}", style="dim", markup=False),
             console=self.console,
         )
         with bar:

@@ -33,7 +33,7 @@ NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any
 class RgbConfig:
     """Training of the RGB model."""
 
-    steps: int = 5000
+    steps: int = 3000
     """Optimisation steps; one image each."""
     sh_degree: int = 3
     """Highest spherical-harmonics band; bands are switched on in turn over the first half of the training."""

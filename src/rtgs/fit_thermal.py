@@ -14,7 +14,7 @@ from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange
 from rtgs.render import render
 from rtgs.scene import Scene
-from rtgs.ssim import ssim
+from rtgs.ssim import ssim, whole_windows
 
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
 
@@ -75,6 +75,7 @@ def fit_thermal(
     span = training_range(scene)
     camera, mask_array = scene.rig.thermal, scene.capture.thermal_mask
     mask = None if mask_array.all() else torch.from_numpy(np.ascontiguousarray(mask_array))
+    windows = None if mask is None else whole_windows(mask)  # SSIM's windows must not reach pixels that hold nothing
     targets = [torch.from_numpy(span.normalise(np.where(mask_array, f.thermal, span.lo)))[..., None] for f in frames]
     borders = torch.cat([torch.cat([t[0], t[-1], t[:, 0], t[:, -1]]) for t in targets])
     background = torch.nn.Parameter(borders.median(dim=0).values)
@@ -102,7 +103,7 @@ def fit_thermal(
         error = (image - targets[i]).abs()
         loss = error.mean() if mask is None else (error * mask[..., None]).sum() / mask.sum()
         if config.ssim_weight:
-            loss = loss + config.ssim_weight * (1.0 - ssim(image, targets[i], mask=mask))
+            loss = loss + config.ssim_weight * (1.0 - ssim(image, targets[i], mask=windows))
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()

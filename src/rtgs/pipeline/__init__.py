@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -69,6 +70,20 @@ class Pipeline:
             raise RtgsError(f"--out {out}: exists and is no run folder; choose another one.")
         if not capture.is_dir():
             raise RtgsError(f"{capture}: no such folder; a capture holds rgb/, thermal/ and rig.json.")
+        _check_rgb_ply(config, folder)
+        folder.write_config(capture, config)
+        return Pipeline(folder, reporter)
+
+    @staticmethod
+    def changed(folder: RunFolder, reporter: Reporter, **settings: Any) -> Pipeline:
+        """Open a run with some fields of its `RunConfig` replaced, and written down.
+
+        Raises:
+            RtgsError: the folder holds no run, or `rgb_ply` is no RGB model.
+        """
+        capture, config = folder.read_config()
+        config = replace(config, **settings)
+        _check_rgb_ply(config, folder)
         folder.write_config(capture, config)
         return Pipeline(folder, reporter)
 
@@ -88,7 +103,13 @@ class Pipeline:
         return self._scene
 
     def run(self, last: Stage = "evaluate", *, again: bool = False) -> None:
-        """Every stage up to `last` that does not stand; with `again`, `last` itself in any case."""
+        """Every stage up to `last` that does not stand; with `again`, `last` itself in any case.
+
+        Raises:
+            RtgsError: the capture has gone, or a stage cannot use what it is given.
+        """
+        if not self.capture_path.is_dir():  # before anything of the run is given up
+            raise RtgsError(f"{self.capture_path}: the capture of {self.folder.path} has gone; put it back.")
         prints = fingerprints(self.capture_path, self.config)
         work: dict[Stage, Callable[[], dict[str, float]]] = {
             "sfm": self._sfm,
@@ -101,7 +122,7 @@ class Pipeline:
             if self.folder.stands(stage, prints[stage]) and not (again and stage == last):
                 self.reporter.say(f"{stage}: done before")
                 continue
-            self.folder.begin(stage)
+            self.folder.begin(stage, prints[stage])
             self.folder.finish(stage, prints[stage], work[stage]())
 
     def _timed(self, title: str, work: Callable[[Progress], Any]) -> tuple[Any, float]:
@@ -112,8 +133,6 @@ class Pipeline:
 
     def _sfm(self) -> dict[str, float]:
         capture = self.capture
-        if self.config.rgb_ply is not None:
-            model_from_ply(self.config.rgb_ply, 1.0)  # refused before any long work
         scene, seconds = self._timed(
             "structure from motion",
             lambda progress: run_sfm(capture, self.config.sfm, progress=lambda text, done, total: progress(done, total, text)),
@@ -124,6 +143,8 @@ class Pipeline:
         self.reporter.say(f"sfm: {len(scene.frames)} of {len(capture.frames)} frames registered, {len(scene.points):,} points")
         for name, reason in scene.failures.items():
             self.reporter.say(f"  {name}: {reason}")
+        for warning in scene.capture.warnings[len(capture.warnings) :]:
+            self.reporter.say(f"warning: {warning}")
         return {"sfm": seconds}
 
     def _rgb(self) -> dict[str, float]:
@@ -136,7 +157,6 @@ class Pipeline:
                 lambda progress: fit_rgb(scene, self.config.rgb, checkpoint=self.folder.checkpoint, progress=progress),
             )
         self.folder.write_rgb(model)
-        self.folder.checkpoint.unlink(missing_ok=True)
         held_out = model.history.get("held_out_psnr")
         self.reporter.say(
             f"rgb: {len(model.gaussians):,} Gaussians" + (f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else "")
@@ -158,15 +178,15 @@ class Pipeline:
 
     def _thermal(self) -> dict[str, float]:
         scene, model, config = self.scene, self.folder.read_rgb(), self.config.thermal
-        sfm_per_metre = self.folder.read_scale().sfm_per_metre
+        sfm_per_metre, celsius = self.folder.read_scale().sfm_per_metre, scene.capture.thermal_unit == "celsius"
         thermal, seconds = self._timed(
             "thermal model", lambda progress: fit_thermal(scene, model, sfm_per_metre, config, progress=progress)
         )
-        self.folder.write_thermal(thermal)
+        self.folder.write_thermal(thermal, celsius=celsius)
         naive, naive_seconds = self._timed(
             "control: thermal model at scale 1", lambda progress: fit_thermal(scene, model, 1.0, config, progress=progress)
         )
-        self.folder.write_thermal(naive, "thermal_naive")
+        self.folder.write_thermal(naive, "thermal_naive", celsius=celsius)
         self.reporter.say(f"thermal: {len(thermal.gaussians):,} Gaussians with a temperature")
         return {"thermal": seconds, "thermal_naive": naive_seconds}
 
@@ -181,3 +201,11 @@ class Pipeline:
         for line in metric_lines(scores):
             self.reporter.say(line)
         return {"evaluate": seconds}
+
+
+def _check_rgb_ply(config: RunConfig, folder: RunFolder) -> None:
+    """Refuse a model to import before any long work, and before the run is changed."""
+    if config.rgb_ply is not None:
+        if config.rgb_ply.resolve() == (folder.path / "rgb.ply").resolve():
+            raise RtgsError(f"--rgb-ply {config.rgb_ply}: is the run's own model, which this run replaces; copy it elsewhere first.")
+        model_from_ply(config.rgb_ply, 1.0)

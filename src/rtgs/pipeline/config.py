@@ -52,13 +52,21 @@ def from_json(cls: type[T], data: Any, where: str) -> T:
         where: the file, for messages.
 
     Raises:
-        RtgsError: a setting this version does not know.
+        RtgsError: a setting this version does not know, or a value of another type.
     """
     hints = typing.get_type_hints(cls)
+    if not isinstance(data, dict):
+        raise RtgsError(f"{where}: {cls.__name__} is {data!r}; an object of settings is expected.")
     unknown = set(data) - set(hints)
     if unknown:
         raise RtgsError(f"{where}: unknown setting {sorted(unknown)[0]!r} of {cls.__name__}; it was written by another version.")
-    return cls(**{name: _value(hints[name], value, where) for name, value in data.items()})
+    values = {}
+    for name, value in data.items():
+        try:
+            values[name] = _value(hints[name], value, where)
+        except (TypeError, ValueError):
+            raise RtgsError(f"{where}: setting {name!r} of {cls.__name__} is {value!r}, which it cannot be.") from None
+    return cls(**values)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
@@ -70,8 +78,10 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if origin is tuple:
         inner = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
         return tuple(_value(a, v, where) for a, v in zip(inner, value, strict=True))
-    if hint is float and isinstance(value, int):
+    if hint is float and type(value) is int:
         return float(value)
+    if (value not in arguments) if origin is Literal else (type(value) is not (str if hint is Path else hint)):
+        raise TypeError
     return Path(value) if hint is Path else value
 
 

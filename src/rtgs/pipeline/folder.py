@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import torch
 from rtgs import __version__
 from rtgs.errors import RtgsError
 from rtgs.io.colmap import read_scene, write_scene
+from rtgs.io.images import IMAGE_SUFFIXES
 from rtgs.io.ply import read_ply, write_ply
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.pipeline.config import STAGES, RunConfig, Stage, from_json, to_json
@@ -22,12 +23,22 @@ from rtgs.render import RenderSettings
 from rtgs.scale import ScaleEstimate
 from rtgs.scene import Capture, Scene
 
+_MADE_BY: dict[Stage, tuple[str, ...]] = {
+    "sfm": ("scene", "capture_summary.json"),
+    "rgb": ("rgb.ply", "rgb.json"),
+    "scale": ("scale.json",),
+    "thermal": ("thermal.ply", "thermal.json", "thermal_naive.ply", "thermal_naive.json"),
+    "evaluate": ("metrics.json",),
+}
+_KEPT = ("scene", "rgb.ply")  # until they are replaced: dear, and never read while the stage that made them does not stand
+
 
 class RunFolder:
     """The files of a run, and which stages stand.
 
     A stage stands when `stages.json` names it with the fingerprint of everything it depends on: the capture's files, its own
-    settings and those of the stages before it. The entry is written last, so a killed stage is simply not there.
+    settings and those of the stages before it; and when what it made is there. The entry is written last, so a killed stage does
+    not stand: it is only marked as begun.
     """
 
     def __init__(self, path: Path) -> None:
@@ -48,6 +59,8 @@ class RunFolder:
 
     def write_config(self, capture: Path, config: RunConfig) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
+        if config.rgb_ply is not None:
+            config = replace(config, rgb_ply=config.rgb_ply.resolve())  # the run may be resumed from elsewhere
         data = {"version": __version__, "capture": str(capture.resolve()), "settings": to_json(config)}
         self.write_json("config.json", data)
 
@@ -63,40 +76,61 @@ class RunFolder:
             )
         data = self.read_json("config.json")
         where = str(self.path / "config.json")
-        try:
-            return Path(data["capture"]), from_json(RunConfig, data["settings"], where)
-        except (KeyError, TypeError) as error:
-            raise RtgsError(f"{where}: field {error} is missing or wrong; remove the file to start the run over.") from error
+        if not isinstance(data, dict) or not isinstance(data.get("capture"), str) or "settings" not in data:
+            raise RtgsError(f"{where}: not written by rtgs (no capture or settings in it); choose another folder for the run.")
+        return Path(data["capture"]), from_json(RunConfig, data["settings"], where)
 
     # Stages
 
     def standing(self) -> dict[str, dict[str, Any]]:
-        """Stage → {"fingerprint", "seconds"}."""
+        """Stage → {"fingerprint", "seconds"}, or {"begun": fingerprint} where it was cut off."""
+        old, final = self.path / "scene.old.tmp", self.path / "scene"
+        if old.exists() and not final.exists():
+            old.rename(final)  # killed between the two renames of `write_scene`
         path = self.path / "stages.json"
         return self.read_json(path.name) if path.exists() else {}
 
     def stands(self, stage: Stage, fingerprint: str) -> bool:
-        return self.standing().get(stage, {}).get("fingerprint") == fingerprint
+        """Done with this fingerprint, and its files are there (a person may have removed them, to have them made again)."""
+        done = self.standing().get(stage, {}).get("fingerprint") == fingerprint
+        return done and all((self.path / name).exists() for name in _MADE_BY[stage])
 
-    def begin(self, stage: Stage) -> None:
-        """From here on neither this stage nor a later one stands."""
+    def begin(self, stage: Stage, fingerprint: str) -> None:
+        """From here on neither this stage nor a later one stands, and what they made is gone.
+
+        Else a report, a render or an export would put old models beside a new scale. Half of an RGB training is kept if it was of
+        this very fingerprint.
+        """
         entries = self.standing()
-        self.write_json("stages.json", {k: v for k, v in entries.items() if k in STAGES[: STAGES.index(stage)]})
+        if stage in ("sfm", "rgb") and entries.get("rgb", {}).get("begun") != fingerprint:
+            self.checkpoint.unlink(missing_ok=True)
+        earlier = {k: v for k, v in entries.items() if k in STAGES[: STAGES.index(stage)]}
+        self.write_json("stages.json", {**earlier, stage: {"begun": fingerprint}})
+        for later in STAGES[STAGES.index(stage) :]:
+            for name in _MADE_BY[later]:
+                if name not in _KEPT:
+                    (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.renders, ignore_errors=True)
 
     def finish(self, stage: Stage, fingerprint: str, seconds: dict[str, float]) -> None:
         self.write_json("stages.json", {**self.standing(), stage: {"fingerprint": fingerprint, "seconds": seconds}})
+        if stage == "rgb":
+            self.checkpoint.unlink(missing_ok=True)
 
     def seconds(self) -> dict[str, float]:
-        return {name: value for entry in self.standing().values() for name, value in entry["seconds"].items()}
+        return {name: value for entry in self.standing().values() for name, value in entry.get("seconds", {}).items()}
 
     # Artefacts
 
     def write_scene(self, scene: Scene, sfm_per_metre: float | None) -> None:
-        temporary, final = self.path / "scene.tmp", self.path / "scene"
+        temporary, final, old = self.path / "scene.tmp", self.path / "scene", self.path / "scene.old.tmp"
         shutil.rmtree(temporary, ignore_errors=True)
         write_scene(temporary, scene, sfm_per_metre)
-        shutil.rmtree(final, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+        if final.exists():
+            final.rename(old)  # a folder cannot be replaced in one go; `standing` puts this one back
         temporary.rename(final)
+        shutil.rmtree(old, ignore_errors=True)
 
     def read_scene(self, capture: Capture) -> Scene:
         return read_scene(self.path / "scene", capture)
@@ -126,8 +160,9 @@ class RunFolder:
         data = self.read_json("rgb.json")
         return RgbModel(read_ply(self.path / "rgb.ply"), *self._common(data), data["history"])
 
-    def write_thermal(self, model: ThermalModel, name: str = "thermal") -> None:
-        write_ply(self.path / f"{name}.ply", model.gaussians, celsius_range=(model.range.lo, model.range.hi))
+    def write_thermal(self, model: ThermalModel, name: str = "thermal", *, celsius: bool) -> None:
+        span = (model.range.lo, model.range.hi) if celsius else None  # counts are no temperature
+        write_ply(self.path / f"{name}.ply", model.gaussians, celsius_range=span)
         self._write_model(
             f"{name}.json", model, range={"lo": model.range.lo, "hi": model.range.hi}, sfm_per_metre=model.sfm_per_metre
         )
@@ -175,14 +210,28 @@ class RunFolder:
         return torch.tensor(data["background"], dtype=torch.float32), RenderSettings(**data["settings"])
 
 
+def refuse_own_folders(folder: RunFolder, scene: Scene, out: Path) -> None:
+    """Keep exports from overwriting what they are made from: the run's PLYs and scene, the capture's poses.
+
+    Raises:
+        RtgsError: `out` is the run folder, or the capture or inside of it.
+    """
+    here, capture = out.resolve(), scene.capture.root.resolve()
+    if here == folder.path.resolve() or here == capture or capture in here.parents:
+        whose = "is the run folder itself" if here == folder.path.resolve() else "lies inside the capture"
+        raise RtgsError(f"--out {out}: {whose}, and files there would be overwritten; choose another folder.")
+
+
 def fingerprints(capture: Path, config: RunConfig) -> dict[Stage, str]:
     """What each stage depends on, as a hash chained from stage to stage.
 
-    The capture counts by the names, sizes and times of its files; `ground_truth*` is nobody's input.
+    The capture counts by the names, sizes and times of the files that `load_capture` reads, and of no others: what a file browser
+    leaves there must not undo hours of training.
     """
-    files = sorted(
-        p for p in capture.rglob("*") if p.is_file() and not p.relative_to(capture).parts[0].startswith("ground_truth")
-    )
+    folders = [capture / "sparse" / "0"] + [capture / name for name in ("rgb", "thermal")]
+    files = [p for folder in folders if folder.is_dir() for p in folder.iterdir() if not p.name.startswith(".")]
+    files = [p for p in files if p.parent == folders[0] or p.suffix.lower() in IMAGE_SUFFIXES]
+    files = sorted(p for p in (*files, capture / "rig.json", capture / "transforms.json") if p.is_file())
     listing = [(str(p.relative_to(capture)), p.stat().st_size, p.stat().st_mtime_ns) for p in files]
     ply = config.rgb_ply
     own: dict[Stage, Any] = {

@@ -13,7 +13,7 @@ from PIL import Image
 
 from rtgs.errors import RtgsError
 from rtgs.pictures import palette, save_png, to_picture, with_colour_bar
-from rtgs.pipeline.folder import RunFolder
+from rtgs.pipeline.folder import RunFolder, refuse_own_folders
 from rtgs.progress import Progress
 from rtgs.render import render
 from rtgs.scene import Scene
@@ -38,8 +38,9 @@ def render_views(
         viewpoint: whose camera to look through; both models are rendered there, so RGB, temperature and depth are aligned.
 
     Raises:
-        RtgsError: a name that is no registered frame, or a run without a thermal model.
+        RtgsError: a name that is no registered frame, or a run without a thermal model, or an `out` that is the run or lies in the capture.
     """
+    refuse_own_folders(folder, scene, out)
     unknown = sorted(set(names) - set(scene.world_from_rgb))
     if unknown:
         some = ", ".join(list(scene.world_from_rgb)[:3])
