@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rtgs.camera import Camera
-from rtgs.densify import DensifyConfig, ScreenGradients, densify, is_round, target_count
+from rtgs.densify import DensifyConfig, ScreenGradients, budget, densify, is_round, target_count
 from rtgs.errors import RtgsError
 from rtgs.fit_rgb import NEAR_FRACTION, RgbConfig, _Training, fit_rgb, initial_gaussians
 from rtgs.gaussians import Gaussians
@@ -368,11 +368,11 @@ def test_screen_gradients_are_the_mean_over_visible_views() -> None:
 
 
 def test_the_schedule_reaches_the_budget_and_no_further() -> None:
-    config = DensifyConfig(max_gaussians=1000, every=10, start=0.1, stop=0.5)
-    counts = [target_count(config, 100, step, 1000) for step in range(0, 1001, 10)]
+    config = DensifyConfig(every=10, start=0.1, stop=0.5)
+    counts = [target_count(config, 100, 1000, step, 1000) for step in range(0, 1001, 10)]
     assert counts[10] == 100 and counts[50] == 1000 and counts[-1] == 1000
     assert all(a <= b for a, b in itertools.pairwise(counts))
-    assert target_count(config, 5000, 300, 1000) == 5000  # more points than the budget: the caller's choice
+    assert target_count(config, 5000, 1000, 300, 1000) == 5000  # more points than the budget: the caller's choice
     assert [s for s in range(1001) if is_round(config, s, 1000)] == list(range(100, 501, 10))
 
 
@@ -392,3 +392,11 @@ def test_points_become_gaussians_of_their_colour_and_spacing() -> None:
     for few in (1, 2, 3):
         assert torch.isfinite(initial_gaussians(xyz[:few], rgb[:few], 0).log_scales).all()
     assert torch.isfinite(initial_gaussians(np.zeros((9, 3)), rgb[:9], 0).log_scales).all()  # duplicates
+
+
+def test_the_budget_follows_the_picture_unless_it_is_given() -> None:
+    assert budget(DensifyConfig(max_gaussians=77), 1_000_000, 500) == 77
+    assert budget(DensifyConfig(), 960 * 540, 500) == 129_600
+    assert budget(DensifyConfig(), 100 * 100, 500) == 10_000
+    assert budget(DensifyConfig(), 100 * 100, 30_000) == 30_000
+    assert budget(DensifyConfig(), 4000 * 3000, 500) == 150_000

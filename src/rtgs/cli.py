@@ -18,7 +18,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as RichProgress
 
 from rtgs import __version__
-from rtgs.densify import DensifyConfig
 from rtgs.errors import RtgsError
 from rtgs.fit_rgb import RgbConfig
 from rtgs.fit_thermal import ThermalConfig
@@ -37,7 +36,7 @@ Flat = tyro.conf.arg(name="")  # a config's fields become flags without a prefix
 _SYNTH = SynthConfig()
 DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
 DEMO_RUN = RunConfig(
-    rgb=RgbConfig(steps=1500, densify=DensifyConfig(max_gaussians=15_000)),
+    rgb=RgbConfig(steps=1500),
     scale=ScaleConfig(batch=12),
     thermal=ThermalConfig(steps=500),
 )

@@ -20,8 +20,8 @@ Parameters = dict[str, torch.nn.Parameter]
 class DensifyConfig:
     """When and how far the model grows."""
 
-    max_gaussians: int = 150_000
-    """The budget."""
+    max_gaussians: int | None = None
+    """The budget; None: one for four pixels of an image or one a sparse point, from 10 000 to 150 000."""
     every: int = 100
     """Steps between two rounds."""
     start: float = 0.05
@@ -32,6 +32,13 @@ class DensifyConfig:
     """A Gaussian larger than this share of the scene's extent is split, a smaller one cloned."""
     prune_opacity: float = 0.005
     """A Gaussian fainter than this is removed."""
+
+
+def budget(config: DensifyConfig, pixels: int, points: int) -> int:
+    """`max_gaussians`, or what suits images of this many pixels: more would only describe their noise."""
+    if config.max_gaussians is not None:
+        return config.max_gaussians
+    return min(max(pixels // 4, points, 10_000), 150_000)
 
 
 class ScreenGradients:
@@ -51,11 +58,11 @@ class ScreenGradients:
         return self.total / self.count.clamp_min(1)
 
 
-def target_count(config: DensifyConfig, initial: int, step: int, steps: int) -> int:
-    """The schedule: from `initial` to the budget, fast at first (a square root in time)."""
-    span = (config.stop - config.start) * steps
+def target_count(config: DensifyConfig, initial: int, most: int, step: int, steps: int) -> int:
+    """The schedule: from `initial` to `most`, fast at first (a square root in time)."""
+    span = max((config.stop - config.start) * steps, 1)
     done = min(max((step - config.start * steps) / span, 0.0), 1.0)
-    return int(initial + (config.max_gaussians - initial) * done**0.5) if config.max_gaussians > initial else initial
+    return int(initial + (most - initial) * done**0.5) if most > initial else initial
 
 
 def is_round(config: DensifyConfig, step: int, steps: int) -> bool:

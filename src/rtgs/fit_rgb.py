@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from rtgs import sh
-from rtgs.densify import DensifyConfig, Parameters, ScreenGradients, densify, is_round, target_count
+from rtgs.densify import DensifyConfig, Parameters, ScreenGradients, budget, densify, is_round, target_count
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.io.ply import read_ply
@@ -158,13 +158,14 @@ class _Training:
         self.step = 0
         self.generator = torch.Generator().manual_seed(config.seed)
         self.settings = RenderSettings(near_plane=NEAR_FRACTION * scene.extent, antialiased=config.antialiased)
+        self.budget = budget(config.densify, scene.rig.rgb.width * scene.rig.rgb.height, len(scene.points))
         if len(scene.points):
             xyz, rgb = scene.points.xyz, scene.points.rgb
-            if len(xyz) > config.densify.max_gaussians:
-                chosen = np.random.default_rng(config.seed).permutation(len(xyz))[: config.densify.max_gaussians]
+            if len(xyz) > self.budget:
+                chosen = np.random.default_rng(config.seed).permutation(len(xyz))[: self.budget]
                 xyz, rgb = xyz[chosen], rgb[chosen]
         else:
-            xyz, rgb = _random_points(scene, min(config.random_points, config.densify.max_gaussians), config.seed)
+            xyz, rgb = _random_points(scene, min(config.random_points, self.budget), config.seed)
         start = initial_gaussians(xyz, rgb, config.sh_degree)
         self.initial = len(start)
         tensors = start.tensors()
@@ -288,7 +289,7 @@ class _Training:
                 self.optimizer,
                 self.gradients,
                 config.densify,
-                target=target_count(config.densify, self.initial, self.step, config.steps),
+                target=target_count(config.densify, self.initial, self.budget, self.step, config.steps),
                 extent=scene.extent,
                 generator=self.generator,
                 rotation_from_quats=rotation_from_quats,
