@@ -207,5 +207,7 @@ def _check_rgb_ply(config: RunConfig, folder: RunFolder) -> None:
     """Refuse a model to import before any long work, and before the run is changed."""
     if config.rgb_ply is not None:
         if config.rgb_ply.resolve() == (folder.path / "rgb.ply").resolve():
-            raise RtgsError(f"--rgb-ply {config.rgb_ply}: is the run's own model, which this run replaces; copy it elsewhere first.")
+            raise RtgsError(
+                f"--rgb-ply {config.rgb_ply}: is the run's own model, which this run replaces; copy it elsewhere first."
+            )
         model_from_ply(config.rgb_ply, 1.0)
