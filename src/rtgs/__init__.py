@@ -11,7 +11,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -91,3 +93,15 @@ def __getattr__(name: str) -> Any:
         globals()[name] = value
         return value
     raise AttributeError(f"module 'rtgs' has no attribute {name!r}")
+
+
+class _FrontDoor(ModuleType):
+    """Some functions are called as their module is (`rtgs.render.render`). Importing such a module sets it as an attribute here, and
+    `rtgs.render(…)` would call a module; the function keeps the name instead."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _MODULE_OF and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _FrontDoor
