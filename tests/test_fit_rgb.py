@@ -400,3 +400,10 @@ def test_the_budget_follows_the_picture_unless_it_is_given() -> None:
     assert budget(DensifyConfig(), 100 * 100, 500) == 10_000
     assert budget(DensifyConfig(), 100 * 100, 30_000) == 30_000
     assert budget(DensifyConfig(), 4000 * 3000, 500) == 150_000
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "rgb.checkpoint"
+    path.write_bytes(b"half of it")  # as a power cut leaves it
+    with pytest.raises(RtgsError, match=r"rgb\.checkpoint.*damaged.*remove it"):
+        fit_rgb(synthetic(), QUICK, checkpoint=path)

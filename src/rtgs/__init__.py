@@ -95,6 +95,10 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'rtgs' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
+
+
 class _FrontDoor(ModuleType):
     """Some functions are called as their module is (`rtgs.render.render`). Importing such a module sets it as an attribute here, and
     `rtgs.render(…)` would call a module; the function keeps the name instead."""

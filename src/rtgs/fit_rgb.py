@@ -336,7 +336,10 @@ class _Training:
         temporary.replace(path)
 
     def restore(self, path: Path) -> None:
-        state = torch.load(path, weights_only=True)
+        try:
+            state = torch.load(path, weights_only=True)
+        except Exception as error:  # torch raises half a dozen kinds for a damaged file
+            raise RtgsError(f"{path}: the checkpoint is damaged ({error}); remove it to train from the start.") from error
         if state["config"] != repr(self.config):
             raise RtgsError(f"{path}: belongs to other training settings; remove it to start over.")
         self.step, self.order, self.history = state["step"], state["order"], state["history"]

@@ -141,7 +141,7 @@ def _verdict(run: _Run) -> str:
         said.append(sentence + ".")
         reason = run.scale.get("reason")
         if run.scale.get("status") != "ok":
-            said.append("Do not rely on this number" + (f": {html.escape(str(reason))}." if reason else "."))
+            said.append("Do not rely on this number" + (f": {html.escape(str(reason).rstrip("."))}." if reason else "."))
     thermal, naive = (_number(_get(run.metrics, model, "psnr")) for model in ("thermal", "thermal_naive"))
     if thermal is not None:
         sentence = f"On views it never saw, the thermal model reaches <strong>{thermal:.1f}\u00a0dB</strong>"
