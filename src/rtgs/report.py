@@ -139,9 +139,9 @@ def _verdict(run: _Run) -> str:
         if baseline_m:
             sentence += f"; the rig's baseline of {_length(baseline_m)} spans {baseline_m * sfm_per_metre:.3g} of them"
         said.append(sentence + ".")
-        reason = run.scale.get("reason")
+        reason = str(run.scale.get("reason") or "").rstrip(".")
         if run.scale.get("status") != "ok":
-            said.append("Do not rely on this number" + (f": {html.escape(str(reason).rstrip("."))}." if reason else "."))
+            said.append("Do not rely on this number" + (f": {html.escape(reason)}." if reason else "."))
     thermal, naive = (_number(_get(run.metrics, model, "psnr")) for model in ("thermal", "thermal_naive"))
     if thermal is not None:
         sentence = f"On views it never saw, the thermal model reaches <strong>{thermal:.1f}\u00a0dB</strong>"
