@@ -34,8 +34,12 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 # Two test processes with one thread each: Numba's and torch's own threads would fight over the same cores.
+test: export NUMBA_NUM_THREADS = 1
+test: export OMP_NUM_THREADS = 1
+test: export MKL_NUM_THREADS = 1
 test: lint
-	@NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2
+	$(BIN)/python tests/compile_kernels.py
+	$(BIN)/python -m pytest -q -n 2
 
 demo: $(STAMP)
 	$(BIN)/rtgs demo
