@@ -88,10 +88,15 @@ class _ColorsFromSh(torch.autograd.Function):
     def backward(ctx: Any, g_colors: Tensor) -> tuple[Tensor | None, ...]:
         m, s, c, colors = ctx.saved
         directional = ctx.needs_input_grad[0] or ctx.needs_input_grad[2]
-        g_sh, g_means = np.empty_like(s), np.zeros_like(m)
+        g_sh = np.empty(s.shape if ctx.needs_input_grad[1] else (0, *s.shape[1:]), np.float32)
+        g_means = np.zeros_like(m)
         g_centre = np.zeros((projection.CHUNKS, 3))
         sh.evaluate_backward(m, s, c, colors, _f32(g_colors), directional, g_sh, g_means, g_centre)
-        return torch.from_numpy(g_means), torch.from_numpy(g_sh), torch.from_numpy(g_centre.sum(0)).to(torch.float32)
+        return (
+            torch.from_numpy(g_means),
+            torch.from_numpy(g_sh) if ctx.needs_input_grad[1] else None,
+            torch.from_numpy(g_centre.sum(0)).to(torch.float32),
+        )
 
 
 class _Rasterize(torch.autograd.Function):

@@ -72,8 +72,11 @@ def evaluate(means, sh, centre, colors):
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def evaluate_backward(means, sh, centre, colors, g_colors, directional, g_sh, g_means, g_centre):
-    """Fill `g_sh` `[N, K, C]` and, where `directional`, `g_means` `[N, 3]` and `g_centre` `[CHUNKS, 3]` (zero on entry)."""
-    k, channels = sh.shape[1], sh.shape[2]
+    """Fill `g_sh` `[N, K, C]` and, where `directional`, `g_means` `[N, 3]` and `g_centre` `[CHUNKS, 3]` (zero on entry).
+
+    An empty `g_sh` `[0, K, C]` is not filled: a pose needs no gradient of the model, which is the largest array here.
+    """
+    k, channels, wanted = sh.shape[1], sh.shape[2], len(g_sh) > 0
     for chunk in nb.prange(CHUNKS):
         b, db = np.empty(16), np.empty((16, 3))
         for i in range(chunk * len(means) // CHUNKS, (chunk + 1) * len(means) // CHUNKS):
@@ -81,13 +84,15 @@ def evaluate_backward(means, sh, centre, colors, g_colors, directional, g_sh, g_
             for q in range(channels):
                 used = used or (g_colors[i, q] != 0.0 and colors[i, q] > 0.0)
             if not used:
-                g_sh[i] = 0.0
+                if wanted:
+                    g_sh[i] = 0.0
                 continue
             x, y, z = means[i, 0] - centre[0], means[i, 1] - centre[1], means[i, 2] - centre[2]
             inv = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
             x, y, z = x * inv, y * inv, z * inv
-            _fill_basis(x, y, z, k, b)
-            for j in range(k):
+            if wanted:
+                _fill_basis(x, y, z, k, b)
+            for j in range(k if wanted else 0):
                 for q in range(channels):
                     g_sh[i, j, q] = b[j] * g_colors[i, q] if colors[i, q] > 0.0 else 0.0
             if directional and k > 1:
