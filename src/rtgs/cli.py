@@ -258,7 +258,7 @@ class Terminal:
     def stage(self, title: str) -> Iterator[Progress]:
         bar = RichProgress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=30),
+            BarColumn(bar_width=16),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("left"),
