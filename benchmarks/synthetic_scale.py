@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the capture, the start s0 and the training")
     parser.add_argument("--scenes", default=",".join(SCENES), help="which, separated by commas")
     parser.add_argument("--rgb-steps", type=int, default=1000, help="training steps of the RGB model")
-    parser.add_argument("--max-gaussians", type=int, default=10_000, help="budget of the RGB model")
+    parser.add_argument("--max-gaussians", type=int, help="budget of the RGB model; by default what suits the pictures")
     parser.add_argument("--scan-steps", type=int, default=40, help="Adam steps after the scan")
     args = parser.parse_args()
     names = args.scenes.split(",")

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# torch and Numba each bring an OpenMP whose idle threads spin by default, and so take the cores from one another: a training step
-# was 18 times slower on a busy machine. The runtimes read this when they load, so it has to come before torch is imported.
+# torch and Numba each bring an OpenMP whose idle threads spin by default, and so take the cores from one another. The runtimes read
+# this when they load, so it has to come before torch is imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:

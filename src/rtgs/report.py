@@ -225,7 +225,7 @@ def _overlays(run: _Run) -> str:
     for name in names:
         figures = [
             _figure(run.picture("overlay", name, what), caption, sharp=True)
-            for what, caption in (("before", "before: scale ignored or at its start"), ("after", "after: scale as found"))
+            for what, caption in (("before", "before: scale ignored (1 SfM unit = 1 m)"), ("after", "after: scale as found"))
         ]
         rows.append(f'<h3>{html.escape(name)}</h3><div class="pair">{"".join(figures)}</div>')
     return _section("Do the edges meet?", legend + "".join(rows))
