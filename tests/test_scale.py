@@ -356,6 +356,18 @@ def test_a_start_that_is_no_scale_is_refused(init: float) -> None:
         estimate_scale(scene, model, ScaleConfig(init=init))
 
 
+@pytest.mark.parametrize("batch", [0, -3])
+def test_a_batch_of_no_frames_is_refused(batch: int) -> None:
+    scene, model = synthetic()
+    with pytest.raises(RtgsError, match="batch"):
+        estimate_scale(scene, model, ScaleConfig(batch=batch))
+
+
+def test_a_rig_without_a_baseline_is_refused() -> None:
+    with pytest.raises(RtgsError, match="baseline is zero"):
+        bracket(np.zeros(5), 64)
+
+
 def test_nothing_to_compare_is_said() -> None:
     scene, model = synthetic()
     only_held_out = assembled([scene.world_from_rgb["000"]], [scene.frames[0].thermal])

@@ -50,6 +50,12 @@ def flow_per_unit(scene: Scene, gaussians: Gaussians, settings: RenderSettings) 
 
 
 def bracket(flow: NDArray[np.float64], width: int) -> tuple[float, float]:
-    """(lo, hi) of `sfm_per_metre`: the 90th percentile of the flow is half a pixel at `lo` and half the image at `hi`."""
+    """(lo, hi) of `sfm_per_metre`: the 90th percentile of the flow is half a pixel at `lo` and half the image at `hi`.
+
+    Raises:
+        RtgsError: nothing flows.
+    """
     fast = float(np.percentile(flow, 90))
+    if not fast > 0:
+        raise RtgsError("scale: the picture does not change with the scale; the rig's baseline is zero.")
     return 0.5 / fast, 0.5 * width / fast

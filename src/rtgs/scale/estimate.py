@@ -140,6 +140,8 @@ def estimate_scale(
     config = config or ScaleConfig()
     if config.init is not None and not (config.init > 0 and math.isfinite(config.init)):
         raise RtgsError(f"scale: init is {config.init}; sfm_per_metre is a positive number.")
+    if config.batch is not None and config.batch < 1:
+        raise RtgsError(f"scale: batch is {config.batch}; it is a number of frames, or left out for all of them.")
     train = scene.train_frames
     if not train:
         raise RtgsError("scale: the scene has no training frame (every registered frame is held out).")
@@ -155,7 +157,7 @@ def estimate_scale(
         epsilon=config.epsilon,
     )
     names = [f.name for f in frames]
-    batch = min(config.batch or len(frames), len(frames))
+    batch = len(frames) if config.batch is None else min(config.batch, len(frames))
     scan_work = config.scan_samples * len(frames) if config.init is None else 0
     counter = _Counter(scan_work + config.steps * batch + len(_LOCAL) * len(frames), progress)
 
@@ -213,7 +215,7 @@ def adam(
     optimizer = torch.optim.Adam([parameter], lr=config.learning_rate)
     generator = torch.Generator().manual_seed(config.seed)
     n = len(objective.frames)
-    batch = min(config.batch or n, n)
+    batch = n if config.batch is None else min(config.batch, n)
     history = History([], [], [], [])
     for step in range(config.steps):
         indices = range(n) if batch == n else torch.randperm(n, generator=generator)[:batch].tolist()
