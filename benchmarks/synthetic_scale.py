@@ -22,14 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgs.densify import DensifyConfig
-from rtgs.fit_rgb import RgbConfig, fit_rgb
+from rtgs.config import DensifyConfig, RgbConfig, ScaleConfig, SfmConfig
+from rtgs.fit_rgb import fit_rgb
 from rtgs.io.capture import load_capture
 from rtgs.models import RgbModel
 from rtgs.pipeline import RunFolder
-from rtgs.scale import ScaleConfig, ScaleEstimate, estimate_scale
+from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scene import Scene
-from rtgs.sfm import SfmConfig, run_sfm
+from rtgs.sfm import run_sfm
 from rtgs.synthetic import SCENES, SynthConfig, write_capture
 
 

@@ -11,8 +11,9 @@ import pytest
 import rtgs.cli
 from rtgs import __version__
 from rtgs.cli import main
+from rtgs.config import RunConfig
 from rtgs.errors import RtgsError
-from rtgs.pipeline import RunConfig, RunFolder
+from rtgs.pipeline import RunFolder
 
 ARGUMENTS = {
     "run": ["--out", "--rgb-max-side", "--rgb-ply", "--sfm.matching", "--rgb.steps", "--scale.init", "--thermal.steps"],

@@ -16,12 +16,13 @@ import trimesh
 from PIL import Image
 
 from rtgs.cli import main
+from rtgs.config import RunConfig
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import quat_from_rotation
 from rtgs.io.capture import load_capture
 from rtgs.io.ply import read_ply, read_thermal_ply
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.pipeline import RunConfig, RunFolder
+from rtgs.pipeline import RunFolder
 from rtgs.pipeline.export import scaled_scene
 from rtgs.radiometry import LinearRange
 from rtgs.render import RenderSettings

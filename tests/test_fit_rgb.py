@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from rtgs.camera import Camera
-from rtgs.densify import DensifyConfig, ScreenGradients, budget, densify, is_round, target_count
+from rtgs.config import DensifyConfig, RgbConfig
+from rtgs.densify import ScreenGradients, budget, densify, is_round, target_count
 from rtgs.errors import RtgsError
-from rtgs.fit_rgb import NEAR_FRACTION, RgbConfig, _Training, fit_rgb, initial_gaussians
+from rtgs.fit_rgb import NEAR_FRACTION, _Training, fit_rgb, initial_gaussians
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, look_at
 from rtgs.metrics import psnr

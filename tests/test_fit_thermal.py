@@ -12,9 +12,10 @@ import pytest
 import torch
 
 from rtgs.camera import Camera
+from rtgs.config import ThermalConfig
 from rtgs.errors import RtgsError
 from rtgs.evaluate import evaluate
-from rtgs.fit_thermal import ThermalConfig, fit_thermal, training_range
+from rtgs.fit_thermal import fit_thermal, training_range
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.metrics import mae

@@ -11,8 +11,9 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
+from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
 from rtgs.image import downsample, downsample_mask, erode_for_sobel, sobel, to_gray
-from rtgs.losses import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, NgfPyramid, ngf_loss, normalized_gradient
+from rtgs.losses import NgfPyramid, ngf_loss, normalized_gradient
 
 
 def textured(height: int = 24, width: int = 31, seed: int = 0) -> Tensor:

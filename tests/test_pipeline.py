@@ -24,12 +24,12 @@ from plyfile import PlyData
 import rtgs.cli
 import rtgs.synthetic
 from rtgs.cli import main
+from rtgs.config import RunConfig, from_json, to_json
 from rtgs.errors import RtgsError
 from rtgs.io.colmap import read_sparse
 from rtgs.io.ply import read_ply, read_thermal_ply, write_ply
 from rtgs.pictures import to_picture
-from rtgs.pipeline import STAGES, Pipeline, RunConfig, RunFolder
-from rtgs.pipeline.config import from_json, to_json
+from rtgs.pipeline import STAGES, Pipeline, RunFolder
 from rtgs.pipeline.folder import fingerprints
 from rtgs.progress import Progress
 from rtgs.render import render

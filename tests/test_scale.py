@@ -13,15 +13,15 @@ import pytest
 import torch
 
 from rtgs.camera import Camera
+from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.image import GRAY_WEIGHTS
 from rtgs.io.rig import read_rig
-from rtgs.losses import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
 from rtgs.models import RgbModel
 from rtgs.render import RenderSettings, render
-from rtgs.scale import Objective, ScaleConfig, ScaleEstimate, estimate_scale
+from rtgs.scale import Objective, ScaleEstimate, estimate_scale
 from rtgs.scale.bracket import bracket, flow_per_unit
 from rtgs.scale.estimate import _scan, adam, bootstrap, curve_minimum
 from rtgs.scene import Capture, Frame, Rig, Scene, SparsePoints

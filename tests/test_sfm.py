@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from rtgs.camera import Camera
+from rtgs.config import SfmConfig
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3, look_at
 from rtgs.io.capture import load_capture
@@ -19,7 +20,7 @@ from rtgs.io.colmap import colmap_camera
 from rtgs.io.rig import write_rig
 from rtgs.io.transforms import write_transforms
 from rtgs.scene import Rig
-from rtgs.sfm import SfmConfig, run_sfm
+from rtgs.sfm import run_sfm
 
 RGB = Camera("OPENCV", 320, 240, 300.0, 303.0, 161.5, 118.0, k1=-0.08, k2=0.02, p1=0.001, p2=-0.001)
 THERMAL = Camera("PINHOLE", 40, 32, 45.0, 45.0, 20.0, 16.0)

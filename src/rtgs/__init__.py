@@ -24,35 +24,37 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
     from rtgs.camera import Camera
+    from rtgs.config import RgbConfig, ScaleConfig, SfmConfig, ThermalConfig
     from rtgs.errors import RtgsError
     from rtgs.evaluate import evaluate
-    from rtgs.fit_rgb import RgbConfig, fit_rgb
-    from rtgs.fit_thermal import ThermalConfig, fit_thermal
+    from rtgs.fit_rgb import fit_rgb
+    from rtgs.fit_thermal import fit_thermal
     from rtgs.gaussians import Gaussians
     from rtgs.geometry import SE3, Sim3
     from rtgs.io.capture import load_capture
     from rtgs.io.ply import read_ply, write_ply
     from rtgs.models import RgbModel, ThermalModel
     from rtgs.render import Render, RenderSettings, render
-    from rtgs.scale import ScaleConfig, ScaleEstimate, estimate_scale
+    from rtgs.scale import ScaleEstimate, estimate_scale
     from rtgs.scene import Capture, Frame, Rig, Scene
-    from rtgs.sfm import SfmConfig, run_sfm
+    from rtgs.sfm import run_sfm
 
 _WHERE = {
     "camera": ("Camera",),
+    "config": ("RgbConfig", "ScaleConfig", "SfmConfig", "ThermalConfig"),
     "errors": ("RtgsError",),
     "evaluate": ("evaluate",),
-    "fit_rgb": ("RgbConfig", "fit_rgb"),
-    "fit_thermal": ("ThermalConfig", "fit_thermal"),
+    "fit_rgb": ("fit_rgb",),
+    "fit_thermal": ("fit_thermal",),
     "gaussians": ("Gaussians",),
     "geometry": ("SE3", "Sim3"),
     "io.capture": ("load_capture",),
     "io.ply": ("read_ply", "write_ply"),
     "models": ("RgbModel", "ThermalModel"),
     "render": ("Render", "RenderSettings", "render"),
-    "scale": ("ScaleConfig", "ScaleEstimate", "estimate_scale"),
+    "scale": ("ScaleEstimate", "estimate_scale"),
     "scene": ("Capture", "Frame", "Rig", "Scene"),
-    "sfm": ("SfmConfig", "run_sfm"),
+    "sfm": ("run_sfm",),
 }
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 __all__ = [

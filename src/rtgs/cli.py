@@ -18,17 +18,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as RichProgress
 
 from rtgs import __version__
+from rtgs.config import RgbConfig, RunConfig, ScaleConfig, SfmConfig, SynthConfig, ThermalConfig
 from rtgs.errors import RtgsError
-from rtgs.fit_rgb import RgbConfig
-from rtgs.fit_thermal import ThermalConfig
-from rtgs.pipeline import Pipeline, RunConfig, RunFolder, Stage
+from rtgs.pipeline import Pipeline, RunFolder, Stage
 from rtgs.pipeline.export import export
 from rtgs.pipeline.views import render_views
 from rtgs.progress import Progress
 from rtgs.report import write_report
-from rtgs.scale import ScaleConfig
-from rtgs.sfm import SfmConfig
-from rtgs.synthetic import SynthConfig, write_capture
+from rtgs.synthetic import write_capture
 
 Folder = tyro.conf.Positional[Path]
 Flat = tyro.conf.arg(name="")  # a config's fields become flags without a prefix

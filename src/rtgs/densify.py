@@ -8,30 +8,13 @@ screen-space gradient are the ones that multiply.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from rtgs.config import DensifyConfig
+
 Parameters = dict[str, torch.nn.Parameter]
-
-
-@dataclass(frozen=True)
-class DensifyConfig:
-    """When and how far the model grows."""
-
-    max_gaussians: int | None = None
-    """The budget; None: one for four pixels of an image or one a sparse point, from 10 000 to 150 000."""
-    every: int = 100
-    """Steps between two rounds."""
-    start: float = 0.05
-    """First round, as a share of all steps."""
-    stop: float = 0.65
-    """Last round, as a share of all steps; the rest only refines."""
-    split_size: float = 0.01
-    """A Gaussian larger than this share of the scene's extent is split, a smaller one cloned."""
-    prune_opacity: float = 0.005
-    """A Gaussian fainter than this is removed."""
 
 
 def budget(config: DensifyConfig, pixels: int, points: int) -> int:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +13,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from rtgs import sh
-from rtgs.densify import DensifyConfig, Parameters, ScreenGradients, budget, densify, is_round, target_count
+from rtgs.config import RgbConfig
+from rtgs.densify import Parameters, ScreenGradients, budget, densify, is_round, target_count
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.io.ply import read_ply
@@ -27,32 +27,6 @@ from rtgs.scene import Frame, Scene
 from rtgs.ssim import ssim, whole_windows
 
 NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
-
-
-@dataclass(frozen=True)
-class RgbConfig:
-    """Training of the RGB model."""
-
-    steps: int = 3000
-    """Optimisation steps; one image each."""
-    sh_degree: int = 3
-    """Highest spherical-harmonics band; bands are switched on in turn over the first half of the training."""
-    densify: DensifyConfig = field(default_factory=DensifyConfig)
-    """How the model grows."""
-    ssim_weight: float = 0.2
-    """Loss = ℓ1 + this · (1 − SSIM)."""
-    coarse_to_fine: tuple[tuple[float, int], ...] = ((0.2, 4), (0.55, 2))
-    """(until this share of the steps, image reduced by this factor); full size afterwards."""
-    background: Literal["learned", "black", "white"] = "learned"
-    """What shows where nothing is: one colour, fitted or fixed."""
-    antialiased: bool = False
-    """Compensate opacity for the pixel-size blur, so that the model looks alike at other resolutions."""
-    exposure: bool = False
-    """Fit a gain and an offset per training frame and channel (not used for held-out frames)."""
-    random_points: int = 20_000
-    """How many random points to start from when the scene has no sparse points."""
-    seed: int = 0
-    """Order of the frames, random points and splits."""
 
 
 def fit_rgb(

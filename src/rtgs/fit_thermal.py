@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from rtgs import sh
+from rtgs.config import ThermalConfig
 from rtgs.errors import RtgsError
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.progress import Progress
@@ -17,24 +18,6 @@ from rtgs.scene import Scene
 from rtgs.ssim import ssim, whole_windows
 
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
-
-
-@dataclass(frozen=True)
-class ThermalConfig:
-    """Fit of the thermal spherical harmonics."""
-
-    steps: int = 1000
-    """Optimisation steps; one image each."""
-    sh_degree: int = 1
-    """Highest band: emission depends on the direction only weakly."""
-    learning_rate: float = 1e-2
-    """Adam's rate of the constant band, falling tenfold; higher bands take a twentieth of it."""
-    ssim_weight: float = 0.0
-    """Loss = ℓ1 + this · (1 − SSIM)."""
-    initial_noise: float = 0.0
-    """Standard deviation of the initial coefficients; zero starts at the middle of the range."""
-    seed: int = 0
-    """Order of the frames and the initial noise."""
 
 
 def training_range(scene: Scene) -> LinearRange:

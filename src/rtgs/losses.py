@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
 from rtgs.image import downsample, downsample_mask, erode_for_sobel, sobel
-
-PAPER_EPSILON = 1e-6
-PAPER_LEVEL_WEIGHTS = (1.0, 0.5, 0.25)  # w_l = 0.5^l, level 0 the finest, as printed
 
 
 def normalized_gradient(image: Tensor, epsilon: float = PAPER_EPSILON) -> Tensor:

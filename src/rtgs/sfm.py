@@ -14,10 +14,11 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import pycolmap
 
+from rtgs.config import SfmConfig
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
 from rtgs.io.capture import MIN_FRAMES
@@ -36,33 +37,8 @@ _MAX_ERROR_PX = 4.0  # COLMAP's thresholds in pixels of the original image …
 _MAX_ERROR_FEATURE_PX = 2.0  # … and ours in pixels of the image that features were found in, where that is the larger
 
 
-@dataclass(frozen=True)
-class SfmConfig:
-    """Settings of structure from motion.
-
-    Attributes:
-        max_features: SIFT points kept in an image, largest first.
-        max_image_side: features are found in images no longer than this, in pixels.
-        matching: "exhaustive" compares all pairs, "sequential" neighbours in name order (videos), "auto" takes exhaustive up
-            to 80 frames.
-        seed: of COLMAP's random choices. Two runs then differ by rounding alone, from sums in threads.
-    """
-
-    max_features: int = 4096
-    max_image_side: int = 1280
-    matching: Literal["auto", "exhaustive", "sequential"] = "auto"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.matching not in ("auto", "exhaustive", "sequential"):
-            raise RtgsError(f"sfm.matching is {self.matching!r}; it is auto, exhaustive or sequential.")
-        for name in ("max_features", "max_image_side"):
-            if getattr(self, name) < 1:
-                raise RtgsError(f"sfm.{name} is {getattr(self, name)}; it is above 0.")
-
-
 def run_sfm(
-    capture: Capture, config: SfmConfig = SfmConfig(), *, work_dir: Path | None = None, progress: Progress | None = None
+    capture: Capture, config: SfmConfig | None = None, *, work_dir: Path | None = None, progress: Progress | None = None
 ) -> Scene:
     """Give a capture its RGB poses and points.
 
@@ -80,6 +56,7 @@ def run_sfm(
     Raises:
         RtgsError: an image file has gone, or fewer than three frames could be registered.
     """
+    config = config or SfmConfig()
     report = progress or (lambda stage, done, total: None)
     if capture.poses is not None and capture.poses.points is not None and len(capture.poses.points) > 0:
         return _scene_from_poses(capture, capture.poses.world_from_rgb, capture.poses.points)

@@ -9,20 +9,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from rtgs.config import RunConfig
 from rtgs.errors import RtgsError
 from rtgs.evaluate import evaluate
 from rtgs.fit_rgb import fit_rgb, model_from_ply
 from rtgs.fit_thermal import fit_thermal
 from rtgs.io.capture import load_capture
-from rtgs.pipeline.config import STAGES, RunConfig, Stage
-from rtgs.pipeline.folder import RunFolder, fingerprints
+from rtgs.pipeline.folder import STAGES, RunFolder, Stage, fingerprints
 from rtgs.pipeline.summary import metric_lines
 from rtgs.progress import Progress
 from rtgs.scale import estimate_scale
 from rtgs.scene import Capture, Scene
 from rtgs.sfm import run_sfm
 
-__all__ = ["STAGES", "Pipeline", "Reporter", "RunConfig", "RunFolder", "Stage"]
+__all__ = ["STAGES", "Pipeline", "Reporter", "RunFolder", "Stage"]
 
 
 class Reporter(Protocol):

@@ -7,21 +7,24 @@ import json
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
 from rtgs import __version__
+from rtgs.config import RunConfig, is_run, read_config, read_run_json, to_json
 from rtgs.errors import RtgsError
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.images import IMAGE_SUFFIXES
 from rtgs.io.ply import read_ply, write_ply
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.pipeline.config import STAGES, RunConfig, Stage, from_json, to_json
 from rtgs.radiometry import LinearRange
 from rtgs.render import RenderSettings
 from rtgs.scale import ScaleEstimate
 from rtgs.scene import Capture, Scene
+
+Stage = Literal["sfm", "rgb", "scale", "thermal", "evaluate"]
+STAGES: tuple[Stage, ...] = ("sfm", "rgb", "scale", "thermal", "evaluate")
 
 _MADE_BY: dict[Stage, tuple[str, ...]] = {
     "sfm": ("scene", "capture_summary.json"),
@@ -55,7 +58,7 @@ class RunFolder:
     # Settings
 
     def exists(self) -> bool:
-        return (self.path / "config.json").exists()
+        return is_run(self.path)
 
     def write_config(self, capture: Path, config: RunConfig) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
@@ -70,15 +73,7 @@ class RunFolder:
         Raises:
             RtgsError: no run here, or an unreadable file.
         """
-        if not self.exists():
-            raise RtgsError(
-                f"{self.path}: not a run folder (no config.json). Start one with `rtgs run CAPTURE --out {self.path}`."
-            )
-        data = self.read_json("config.json")
-        where = str(self.path / "config.json")
-        if not isinstance(data, dict) or not isinstance(data.get("capture"), str) or "settings" not in data:
-            raise RtgsError(f"{where}: not written by rtgs (no capture or settings in it); choose another folder for the run.")
-        return Path(data["capture"]), from_json(RunConfig, data["settings"], where)
+        return read_config(self.path)
 
     # Stages
 
@@ -193,13 +188,8 @@ class RunFolder:
         temporary.replace(path)
 
     def read_json(self, name: str) -> dict[str, Any]:
-        path = self.path / name
-        try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise RtgsError(f"{path}: missing; `rtgs run` on this folder makes it.") from None
-        except ValueError as error:
-            raise RtgsError(f"{path}: unreadable ({error}); remove it and run again.") from error
+        """Raises `RtgsError` where the file is missing or no JSON."""
+        return read_run_json(self.path / name)
 
     def _write_model(self, name: str, model: RgbModel | ThermalModel, **more: Any) -> None:
         common = {"background": model.background.tolist(), "settings": asdict(model.settings), "history": dict(model.history)}

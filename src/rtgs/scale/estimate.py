@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from rtgs.config import ScaleConfig
 from rtgs.errors import RtgsError
-from rtgs.losses import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
 from rtgs.models import RgbModel
 from rtgs.progress import Progress
 from rtgs.scale.bracket import bracket, flow_per_unit
@@ -24,30 +24,6 @@ Status = Literal["ok", "unobservable"]
 # ln s of the curve that says how sure the answer is: dense near it, a sixth away at the ends.
 _LOCAL = np.array([-0.16, -0.08, -0.04, -0.02, -0.01, -0.005, 0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16])
 _RESAMPLES = 1000
-
-
-@dataclass(frozen=True)
-class ScaleConfig:
-    """How the scale is found: the paper's objective and its Adam."""
-
-    init: float | None = None
-    """Start of `sfm_per_metre`; None: the minimum of a scan of the same loss over all scales the images can tell apart."""
-    steps: int = 200
-    """Adam steps."""
-    learning_rate: float = 5e-3
-    """Adam's learning rate, in ln s."""
-    batch: int | None = None
-    """Frames per step, drawn at random; None: all."""
-    level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS
-    """Pyramid weights, finest level first; one number gives the single-scale loss."""
-    epsilon: float = PAPER_EPSILON
-    """ε of the normalised gradient, images in [0, 1]."""
-    scan_samples: int = 64
-    """Log-spaced scales in the scan."""
-    max_frames: int = 64
-    """Of more training frames than this, as many evenly spaced ones are used."""
-    seed: int = 0
-    """Order of mini-batches, and the bootstrap."""
 
 
 @dataclass(frozen=True)

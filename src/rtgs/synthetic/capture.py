@@ -19,15 +19,16 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rtgs.camera import Camera
+from rtgs.config import SceneName, SynthConfig
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.scene import Rig
-from rtgs.synthetic.config import SFM_PER_METRE_RANGE, SceneName, SynthConfig
 from rtgs.synthetic.raycast import CompiledModel, render_rgb, render_thermal
 from rtgs.synthetic.scenes import build_scene
 
 CELSIUS_PER_COUNT = 0.01
 CELSIUS_OFFSET = -100.0
+SFM_PER_METRE_RANGE = (0.05, 20.0)  # drawn log-uniformly from here unless the config names one
 GROUND_TRUTH_JSON = "ground_truth.json"
 _OWN_FILE = re.compile(
     r"(rgb|thermal|ground_truth/thermal_clean)/frame_\d+\.(png|tiff)|(rig|transforms|ground_truth)\.(json|part)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from rtgs.synthetic.config import SCENES, SceneName
+from rtgs.config import SCENES, SceneName
 from rtgs.synthetic.model import Model
 
 

@@ -1,0 +1,295 @@
+"""Every setting of every stage in one place, and its way to JSON and back.
+
+Nothing heavy is imported here, so that the command line can show all settings and their defaults before it loads torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args
+
+from rtgs.errors import RtgsError
+
+T = TypeVar("T")
+
+PAPER_EPSILON = 1e-6
+PAPER_LEVEL_WEIGHTS = (1.0, 0.5, 0.25)  # w_l = 0.5^l, level 0 the finest, as printed
+
+SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room"]
+SCENES: tuple[SceneName, ...] = get_args(SceneName)
+
+
+@dataclass(frozen=True)
+class SfmConfig:
+    """Structure from motion."""
+
+    max_features: int = 4096
+    """SIFT points kept in an image, largest first."""
+    max_image_side: int = 1280
+    """Features are found in images no longer than this, in pixels."""
+    matching: Literal["auto", "exhaustive", "sequential"] = "auto"
+    """"exhaustive" compares all pairs, "sequential" neighbours in name order (videos), "auto" takes exhaustive up to 80 frames."""
+    seed: int = 0
+    """Of COLMAP's random choices. Two runs then differ by rounding alone, from sums in threads."""
+
+    def __post_init__(self) -> None:
+        if self.matching not in ("auto", "exhaustive", "sequential"):
+            raise RtgsError(f"sfm.matching is {self.matching!r}; it is auto, exhaustive or sequential.")
+        for name in ("max_features", "max_image_side"):
+            if getattr(self, name) < 1:
+                raise RtgsError(f"sfm.{name} is {getattr(self, name)}; it is above 0.")
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """When and how far the model grows."""
+
+    max_gaussians: int | None = None
+    """The budget; None: one for four pixels of an image or one a sparse point, from 10 000 to 150 000."""
+    every: int = 100
+    """Steps between two rounds."""
+    start: float = 0.05
+    """First round, as a share of all steps."""
+    stop: float = 0.65
+    """Last round, as a share of all steps; the rest only refines."""
+    split_size: float = 0.01
+    """A Gaussian larger than this share of the scene's extent is split, a smaller one cloned."""
+    prune_opacity: float = 0.005
+    """A Gaussian fainter than this is removed."""
+
+
+@dataclass(frozen=True)
+class RgbConfig:
+    """Training of the RGB model."""
+
+    steps: int = 3000
+    """Optimisation steps; one image each."""
+    sh_degree: int = 3
+    """Highest spherical-harmonics band; bands are switched on in turn over the first half of the training."""
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    """How the model grows."""
+    ssim_weight: float = 0.2
+    """Loss = ℓ1 + this · (1 − SSIM)."""
+    coarse_to_fine: tuple[tuple[float, int], ...] = ((0.2, 4), (0.55, 2))
+    """(until this share of the steps, image reduced by this factor); full size afterwards."""
+    background: Literal["learned", "black", "white"] = "learned"
+    """What shows where nothing is: one colour, fitted or fixed."""
+    antialiased: bool = False
+    """Compensate opacity for the pixel-size blur, so that the model looks alike at other resolutions."""
+    exposure: bool = False
+    """Fit a gain and an offset per training frame and channel (not used for held-out frames)."""
+    random_points: int = 20_000
+    """How many random points to start from when the scene has no sparse points."""
+    seed: int = 0
+    """Order of the frames, random points and splits."""
+
+
+@dataclass(frozen=True)
+class ScaleConfig:
+    """How the scale is found: the paper's objective and its Adam."""
+
+    init: float | None = None
+    """Start of `sfm_per_metre`; None: the minimum of a scan of the same loss over all scales the images can tell apart."""
+    steps: int = 200
+    """Adam steps."""
+    learning_rate: float = 5e-3
+    """Adam's learning rate, in ln s."""
+    batch: int | None = None
+    """Frames per step, drawn at random; None: all."""
+    level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS
+    """Pyramid weights, finest level first; one number gives the single-scale loss."""
+    epsilon: float = PAPER_EPSILON
+    """ε of the normalised gradient, images in [0, 1]."""
+    scan_samples: int = 64
+    """Log-spaced scales in the scan."""
+    max_frames: int = 64
+    """Of more training frames than this, as many evenly spaced ones are used."""
+    seed: int = 0
+    """Order of mini-batches, and the bootstrap."""
+
+
+@dataclass(frozen=True)
+class ThermalConfig:
+    """Fit of the thermal spherical harmonics."""
+
+    steps: int = 1000
+    """Optimisation steps; one image each."""
+    sh_degree: int = 1
+    """Highest band: emission depends on the direction only weakly."""
+    learning_rate: float = 1e-2
+    """Adam's rate of the constant band, falling tenfold; higher bands take a twentieth of it."""
+    ssim_weight: float = 0.0
+    """Loss = ℓ1 + this · (1 − SSIM)."""
+    initial_noise: float = 0.0
+    """Standard deviation of the initial coefficients; zero starts at the middle of the range."""
+    seed: int = 0
+    """Order of the frames and the initial noise."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Settings of a run, stage by stage."""
+
+    rgb_max_side: int = 960
+    """RGB images are reduced to this many pixels on their longer side."""
+    rgb_ply: Path | None = None
+    """A trained 3DGS model in the same world frame, to use instead of training one."""
+    sfm: SfmConfig = field(default_factory=SfmConfig)
+    """Structure from motion, where the capture has no poses or no points."""
+    rgb: RgbConfig = field(default_factory=RgbConfig)
+    """The RGB model."""
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    """The metric scale."""
+    thermal: ThermalConfig = field(default_factory=ThermalConfig)
+    """The thermal model."""
+
+
+@dataclass(frozen=True)
+class SynthConfig:
+    """Settings of one synthetic capture. The four `*_error*` fields change what `rig.json` says, never what is rendered."""
+
+    scene: SceneName = "lego"
+    """which of the seven modelled scenes; all but `room` are objects seen from a hemisphere around them"""
+    frames: int = 50
+    """RGB–thermal pairs"""
+    size: int = 800
+    """width and height of the images, in pixels"""
+    thermal_size: int | None = None
+    """width and height of the thermal images, in pixels; None: as `size`"""
+    seed: int = 0
+    """of camera positions, unit, noise, gains and error directions; the scene itself never changes"""
+    baseline_m: float = 0.20
+    """distance between the two cameras, in metres"""
+    sfm_per_metre: float | None = None
+    """unit of the written poses; None: drawn log-uniformly from 0.05 to 20"""
+    netd_c: float = 0.05
+    """standard deviation of the thermal sensor's noise, in °C; 0 for none"""
+    blur_px: float = 0.0
+    """standard deviation of the thermal lens's Gaussian blur, in thermal pixels"""
+    gain_jitter: float = 0.0
+    """g: each thermal image's contrast around its mean is multiplied by a factor drawn from [1 − g, 1 + g]"""
+    rig_length_error: float = 0.0
+    """relative error of the written baseline length: 0.01 writes it 1 % too long"""
+    rig_direction_error: float = 0.0
+    """tangent of the angle by which the written baseline direction is tilted: 0.01 moves its tip by 1 % of its length"""
+    rig_rotation_error_deg: float = 0.0
+    """angle by which the written rig rotation is off, in degrees, about an axis drawn with the seed"""
+    thermal_focal_error: float = 0.0
+    """relative error of the written thermal focal length: 0.01 writes it 1 % too long"""
+    supersampling: int = 2
+    """n: every pixel is the mean of n × n rays"""
+    thermal_clean: bool = True
+    """also write each thermal image in °C without blur, gain, noise or quantisation, under `ground_truth/`"""
+
+    def check(self) -> None:
+        """Raises `RtgsError` where a field is out of its range."""
+        if self.scene not in SCENES:
+            raise RtgsError(f"scene: no scene named {self.scene!r}; there are {', '.join(SCENES)}")
+        for name, least in (("frames", 1), ("size", 8), ("thermal_size", 8), ("supersampling", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise RtgsError(f"{name}: {value} is too small; it must be at least {least}")
+        for name in ("baseline_m", "netd_c", "blur_px"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise RtgsError(f"{name}: {value} is not a finite number from 0 up")
+        if not 0 <= self.gain_jitter < 1:
+            raise RtgsError(f"gain_jitter: {self.gain_jitter} is outside [0, 1)")
+        for name in ("rig_length_error", "thermal_focal_error"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > -1):
+                raise RtgsError(f"{name}: {value} must be a finite fraction above −1")
+        for name in ("rig_direction_error", "rig_rotation_error_deg"):
+            if not math.isfinite(getattr(self, name)):
+                raise RtgsError(f"{name}: {getattr(self, name)} is not a finite number")
+        if self.sfm_per_metre is not None and not (math.isfinite(self.sfm_per_metre) and self.sfm_per_metre > 0):
+            raise RtgsError(f"sfm_per_metre: {self.sfm_per_metre} is not a finite positive number")
+
+
+def to_json(config: Any) -> Any:
+    """Nested dataclasses, paths and tuples as what JSON has."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        return {f.name: to_json(getattr(config, f.name)) for f in dataclasses.fields(config)}
+    if isinstance(config, tuple | list):
+        return [to_json(v) for v in config]
+    return str(config) if isinstance(config, Path) else config
+
+
+def from_json(cls: type[T], data: Any, where: str) -> T:
+    """The inverse of `to_json`; settings that the file does not name keep their defaults.
+
+    Args:
+        where: the file, for messages.
+
+    Raises:
+        RtgsError: a setting this version does not know, or a value of another type.
+    """
+    hints = typing.get_type_hints(cls)
+    if not isinstance(data, dict):
+        raise RtgsError(f"{where}: {cls.__name__} is {data!r}; an object of settings is expected.")
+    unknown = set(data) - set(hints)
+    if unknown:
+        raise RtgsError(f"{where}: unknown setting {sorted(unknown)[0]!r} of {cls.__name__}; it was written by another version.")
+    values = {}
+    for name, value in data.items():
+        try:
+            values[name] = _value(hints[name], value, where)
+        except (TypeError, ValueError):
+            raise RtgsError(f"{where}: setting {name!r} of {cls.__name__} is {value!r}, which it cannot be.") from None
+    return cls(**values)
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (Union, types.UnionType):
+        return None if value is None else _value(next(a for a in arguments if a is not type(None)), value, where)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_json(hint, value, where)
+    if origin is tuple:
+        inner = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
+        return tuple(_value(a, v, where) for a, v in zip(inner, value, strict=True))
+    if hint is float and type(value) is int:
+        return float(value)
+    if (value not in arguments) if origin is Literal else (type(value) is not (str if hint is Path else hint)):
+        raise TypeError
+    return Path(value) if hint is Path else value
+
+
+def is_run(path: Path) -> bool:
+    """Whether the folder holds a run."""
+    return (path / "config.json").exists()
+
+
+def read_config(run: Path) -> tuple[Path, RunConfig]:
+    """The capture's folder and the settings of a run.
+
+    Raises:
+        RtgsError: no run here, or an unreadable file.
+    """
+    if not is_run(run):
+        raise RtgsError(f"{run}: not a run folder (no config.json). Start one with `rtgs run CAPTURE --out {run}`.")
+    path = run / "config.json"
+    data = read_run_json(path)
+    if not isinstance(data, dict) or not isinstance(data.get("capture"), str) or "settings" not in data:
+        raise RtgsError(f"{path}: not written by rtgs (no capture or settings in it); choose another folder for the run.")
+    return Path(data["capture"]), from_json(RunConfig, data["settings"], str(path))
+
+
+def read_run_json(path: Path) -> Any:
+    """A JSON file of a run folder.
+
+    Raises:
+        RtgsError: it is missing, or no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RtgsError(f"{path}: missing; `rtgs run` on this folder makes it.") from None
+    except ValueError as error:
+        raise RtgsError(f"{path}: unreadable ({error}); remove it and run again.") from error
