@@ -15,7 +15,7 @@ import pytest
 import rtgs
 
 README = Path(__file__).parents[1] / "README.md"
-HEAVY = ("torch", "numba", "pycolmap", "cv2", "trimesh", "matplotlib", "tyro")
+HEAVY = ("torch", "numpy", "numba", "pycolmap", "cv2", "trimesh", "matplotlib", "tyro")
 
 
 def test_import_is_cheap() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -11,9 +13,9 @@ import pytest
 import rtgs.cli
 from rtgs import __version__
 from rtgs.cli import main
-from rtgs.config import RunConfig
+from rtgs.config import RunConfig, ScaleConfig, SynthConfig
 from rtgs.errors import RtgsError
-from rtgs.pipeline import RunFolder
+from rtgs.pipeline import Pipeline, RunFolder
 
 ARGUMENTS = {
     "run": ["--out", "--rgb-max-side", "--rgb-ply", "--sfm.matching", "--rgb.steps", "--scale.init", "--thermal.steps"],
@@ -69,6 +71,36 @@ def test_commands_are_those_tested() -> None:
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of(["--version"]) == 0
     assert capsys.readouterr().out == f"rtgs {__version__}\n"
+
+
+HEAVY = ("torch", "numpy", "numba", "cv2", "pycolmap", "scipy", "matplotlib")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "output"),
+    [
+        (["--help"], "thermal"),
+        (["--version"], __version__),
+        (["run", "--help"], "--rgb.steps"),
+        (["scale", "RUN", "--help"], "0.0123"),  # of the run's own settings
+        (["thermal", "RUN", "--steps", "many"], ""),
+    ],
+)
+def test_what_needs_no_work_loads_nothing_heavy(arguments: list[str], output: str, tmp_path: Path) -> None:
+    RunFolder(tmp_path).write_config(tmp_path, RunConfig(scale=ScaleConfig(learning_rate=0.0123)))
+    code = (
+        "import sys\nfrom rtgs.cli import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        f"print('loaded:', *(m for m in {HEAVY!r} if m in sys.modules))"
+    )
+    command = [sys.executable, "-c", code, *(str(tmp_path) if a == "RUN" else a for a in arguments)]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert output in text and text.splitlines()[-1].strip() == "loaded:"
+
+
+def test_python_m_rtgs() -> None:
+    run = subprocess.run([sys.executable, "-m", "rtgs", "--version"], capture_output=True, text=True)
+    assert (run.returncode, run.stdout) == (0, f"rtgs {__version__}\n")
 
 
 def test_the_installed_command() -> None:
@@ -160,7 +192,7 @@ def test_saved_settings_are_found_wherever_the_run_stands(tmp_path: Path) -> Non
 
 def test_demo_keeps_its_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second call goes on with the first one's run: a new capture would have it start over."""
-    small = rtgs.synthetic.SynthConfig(frames=3, size=16, supersampling=1, thermal_clean=False)
+    small = SynthConfig(frames=3, size=16, supersampling=1, thermal_clean=False)
     monkeypatch.setattr(rtgs.cli, "DEMO_CAPTURE", small)
 
     class StopError(Exception):
@@ -169,7 +201,7 @@ def test_demo_keeps_its_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     def start(*arguments: Any) -> None:
         raise StopError
 
-    monkeypatch.setattr(rtgs.cli.Pipeline, "start", start)
+    monkeypatch.setattr(Pipeline, "start", start)
     image = tmp_path / "capture" / "rgb" / "frame_000.png"
     times = []
     for _ in range(2):
@@ -177,7 +209,7 @@ def test_demo_keeps_its_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             main(["demo", "--out", str(tmp_path)])
         times.append(image.stat().st_mtime_ns)
     assert times[0] == times[1]
-    monkeypatch.setattr(rtgs.cli, "DEMO_CAPTURE", rtgs.synthetic.SynthConfig(frames=4, size=16, thermal_clean=False))
+    monkeypatch.setattr(rtgs.cli, "DEMO_CAPTURE", SynthConfig(frames=4, size=16, thermal_clean=False))
     with pytest.raises(StopError):
         main(["demo", "--out", str(tmp_path)])
     assert image.stat().st_mtime_ns > times[0]

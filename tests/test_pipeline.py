@@ -300,7 +300,7 @@ def test_a_run_killed_while_training_resumes_to_the_same_result(
     capture: Path, finished: Path, tmp_path: Path, recorded: Any
 ) -> None:
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "rtgs.cli", "run", str(capture), "--out", str(out), *TINY]
+    command = [sys.executable, "-m", "rtgs", "run", str(capture), "--out", str(out), *TINY]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         deadline = time.monotonic() + 120
         while not (out / "rgb.checkpoint").exists() and process.poll() is None and time.monotonic() < deadline:

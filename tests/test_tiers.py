@@ -23,6 +23,7 @@ TIERS: dict[str, float] = {
     **dict.fromkeys(["pipeline"], 7.0),
     **dict.fromkeys(["report", "viewer"], 7.1),
     **dict.fromkeys(["cli"], 7.2),
+    **dict.fromkeys(["__main__"], 7.3),
 }
 # Lower tiers that a unit must do without all the same.
 FORBIDDEN: dict[str, set[str]] = {"render": {"scene", "radiometry", "io"}}

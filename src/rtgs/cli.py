@@ -1,4 +1,4 @@
-"""The command line: `rtgs COMMAND`. No algorithm lives here.
+"""The command line: `rtgs COMMAND`. No algorithm lives here, and a command imports what it runs: help should not wait for torch.
 
 Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one message on stderr), 130 stopped with Ctrl-C.
 """
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -18,14 +18,22 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as RichProgress
 
 from rtgs import __version__
-from rtgs.config import RgbConfig, RunConfig, ScaleConfig, SfmConfig, SynthConfig, ThermalConfig
+from rtgs.config import (
+    RgbConfig,
+    RunConfig,
+    ScaleConfig,
+    SfmConfig,
+    SynthConfig,
+    ThermalConfig,
+    is_run,
+    read_config,
+    read_run_json,
+)
 from rtgs.errors import RtgsError
-from rtgs.pipeline import Pipeline, RunFolder, Stage
-from rtgs.pipeline.export import export
-from rtgs.pipeline.views import render_views
 from rtgs.progress import Progress
-from rtgs.report import write_report
-from rtgs.synthetic import write_capture
+
+if TYPE_CHECKING:
+    from rtgs.pipeline import Pipeline, Stage
 
 Folder = tyro.conf.Positional[Path]
 Flat = tyro.conf.arg(name="")  # a config's fields become flags without a prefix
@@ -79,8 +87,8 @@ def _saved_settings(arguments: Sequence[str]) -> RunConfig:
     elif command in ("rgb", "scale", "thermal"):
         named = rest  # the run is the positional one, before the flags or after them
     for candidate in named:
-        if RunFolder(Path(candidate)).exists():
-            return RunFolder(Path(candidate)).read_config()[1]
+        if is_run(Path(candidate)):
+            return read_config(Path(candidate))[1]
     return RunConfig()
 
 
@@ -95,6 +103,8 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             out: the run folder.
             config: settings.
         """
+        from rtgs.pipeline import Pipeline
+
         reporter = Terminal()
         pipeline = Pipeline.start(capture, out, config, reporter)
         try:
@@ -113,6 +123,8 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             config: settings.
             rgb_max_side: RGB images are reduced to this many pixels on their longer side.
         """
+        from rtgs.pipeline import Pipeline
+
         settings = replace(saved, sfm=config, rgb_max_side=rgb_max_side)
         _stage(Pipeline.start(capture, out, settings, Terminal()), "sfm")
 
@@ -151,7 +163,7 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             run: the run folder.
         """
         reporter = Terminal()
-        pipeline = Pipeline(RunFolder(run), reporter)
+        pipeline = _opened(run, reporter)
         pipeline.run("evaluate", again=True)
         _report(pipeline, reporter)
 
@@ -164,8 +176,10 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             frames: names of frames; all when none is given.
             viewpoint: whose camera to look through; everything is rendered from there, so it is aligned.
         """
+        from rtgs.pipeline.views import render_views
+
         reporter = Terminal()
-        pipeline = Pipeline(RunFolder(run), reporter)
+        pipeline = _opened(run, reporter)
         with reporter.stage("views") as progress:
             render_views(pipeline.folder, pipeline.scene, out, frames, viewpoint=viewpoint, progress=progress)
         reporter.say(f"views: {out}")
@@ -178,8 +192,10 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             out: folder for rgb.ply, thermal.ply, transforms.json and a COLMAP model.
             metres: lengths in metres instead of SfM units.
         """
+        from rtgs.pipeline.export import export
+
         reporter = Terminal()
-        pipeline = Pipeline(RunFolder(run), reporter)
+        pipeline = _opened(run, reporter)
         for path in export(pipeline.folder, pipeline.scene, out, metres=metres):
             reporter.say(f"wrote {path}")
         estimate = pipeline.folder.read_scale()
@@ -193,6 +209,8 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             out: the capture folder.
             config: settings.
         """
+        from rtgs.synthetic import write_capture
+
         reporter = Terminal()
         with reporter.stage(f"synthetic {config.scene}") as progress:
             truth = write_capture(out, config, progress=lambda done, total: progress(done, total, ""))
@@ -204,13 +222,13 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         Args:
             out: folder for the capture and the run.
         """
-        capture = RunFolder(out / "capture")
-        made = (capture.path / "rig.json").exists() and (capture.path / "ground_truth.json").exists()
-        if not made or capture.read_json("ground_truth.json")["config"] != asdict(DEMO_CAPTURE):
+        rig_json, truth_json = out / "capture" / "rig.json", out / "capture" / "ground_truth.json"
+        made = rig_json.exists() and truth_json.exists()
+        if not made or read_run_json(truth_json)["config"] != asdict(DEMO_CAPTURE):
             synth(out / "capture", DEMO_CAPTURE)  # only then: new files would have the run start over
         run(out / "capture", out / "run", DEMO_RUN)
-        truth = RunFolder(out / "capture").read_json("ground_truth.json")["sfm_per_metre"]
-        found = RunFolder(out / "run").read_scale().sfm_per_metre
+        truth = read_run_json(truth_json)["sfm_per_metre"]
+        found = read_run_json(out / "run" / "scale.json")["sfm_per_metre"]
         error = 100 * abs(found / truth - 1)
         Terminal().say(f"true scale {truth:.5g}, found {found:.5g} SfM units per metre: off by {error:.3f} %")
 
@@ -228,8 +246,17 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
     }
 
 
+def _opened(run: Path, reporter: Terminal) -> Pipeline:
+    """The pipeline of an existing run."""
+    from rtgs.pipeline import Pipeline, RunFolder
+
+    return Pipeline(RunFolder(run), reporter)
+
+
 def _changed(run: Path, **settings: Any) -> Pipeline:
     """The pipeline of an existing run with some settings replaced, and written down."""
+    from rtgs.pipeline import Pipeline, RunFolder
+
     return Pipeline.changed(RunFolder(run), Terminal(), **settings)
 
 
@@ -239,6 +266,8 @@ def _stage(pipeline: Pipeline, stage: Stage) -> None:
 
 
 def _report(pipeline: Pipeline, reporter: Any) -> None:
+    from rtgs.report import write_report
+
     reporter.say(f"report: {write_report(pipeline.folder.path)}")
 
 
@@ -266,7 +295,3 @@ class Terminal:
         with bar:
             task = bar.add_task(title, total=None, text="")
             yield lambda done, total, text: bar.update(task, completed=done, total=total, text=text)
-
-
-if __name__ == "__main__":
-    main()
