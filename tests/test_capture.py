@@ -22,13 +22,17 @@ from rtgs.io.colmap import colmap_camera, quiet_colmap, read_scene, rigid3d_from
 from rtgs.io.images import frame_name, in_thermal_folder, read_rgb
 from rtgs.io.rig import read_rig, write_rig
 from rtgs.io.transforms import read_transforms, write_transforms
-from rtgs.radiometry import CENTIKELVIN, CountsToCelsius
+from rtgs.radiometry import CENTIKELVIN, Atmosphere, CountsToCelsius, ObjectParameters, PlanckCalibration, PlanckRadiometry
 from rtgs.scene import Rig, Scene, SparsePoints
 
 RGB = Camera("OPENCV", 64, 48, 60.0, 61.0, 32.5, 23.5, k1=-0.05, k2=0.01, p1=0.001, p2=-0.002)
 THERMAL = Camera("PINHOLE", 40, 32, 45.0, 45.0, 20.0, 16.0)
 RGB_FROM_THERMAL = SE3(rotation_from_axis_angle([0.01, -0.03, 0.02]), np.array([0.05, -0.002, 0.01]))
 RADIOMETRY = CountsToCelsius(0.025, -100.0)
+PLANCK = PlanckRadiometry(
+    PlanckCalibration(15848.85, 0.014533, 1414.9, 1.0, -4405, Atmosphere(alpha1=0.0066)),
+    ObjectParameters(0.95, 22.0, 18.0, 2.0, 0.4, 20.0, 0.98),
+)
 NAMES = tuple(f"10-5{i}.{i}" for i in range(5))  # a dot in a stem is not a suffix
 POSES = {name: look_at([np.cos(i / 5), np.sin(i / 5), 0.1 * i], [0.0, 0.0, 0.0]) for i, name in enumerate(NAMES)}
 ARCO = Path(os.environ.get("RTGS_DATA", Path(__file__).parents[2] / "shared" / "data")) / "arco"
@@ -151,6 +155,67 @@ def test_centikelvin(root: Path) -> None:
     for name in NAMES:
         Image.fromarray(np.full((32, 40), 29815, dtype=np.uint16)).save(root / "thermal" / f"{name}.tiff")
     np.testing.assert_allclose(load_capture(root).frames[0].thermal, 25.0, atol=1e-5)
+
+
+def use_planck(root: Path, change: Callable[[dict[str, Any]], Any] = lambda thermal: None) -> None:
+    """Thermal files of 30.00, 30.01, … °C as a camera with Planck constants stores them, and the rig that says so."""
+    write_rig(root / "rig.json", Rig(RGB, THERMAL, RGB_FROM_THERMAL), PLANCK)
+    for i, name in enumerate(NAMES):
+        signal = PLANCK.counts(np.full((32, 40), 30.0 + 0.01 * i)).astype(np.float32)
+        Image.fromarray(signal).save(root / "thermal" / f"{name}.tiff")
+    edit_rig(root, lambda d: change(d["thermal"]))
+
+
+def test_planck_constants_and_object_parameters(root: Path) -> None:
+    use_planck(root)
+    assert read_rig(root / "rig.json").radiometry == PLANCK
+    capture = load_capture(root)
+    assert capture.thermal_unit == "celsius" and capture.warnings == ()
+    assert capture.frames[2].thermal.dtype == np.float32
+    np.testing.assert_allclose(capture.frames[2].thermal, 30.02, atol=2e-4)  # the float32 signal of the file: 0.001 counts
+
+
+def test_another_emissivity_in_the_rig_file_changes_temperatures_as_the_formula_says(root: Path) -> None:
+    use_planck(root, lambda thermal: thermal["object"].update(emissivity=0.7, reflected_c=-20.0))
+    expected = PLANCK.reevaluated(np.array([30.0]), emissivity=0.7, reflected_c=-20.0)
+    assert expected > 40
+    np.testing.assert_allclose(load_capture(root).frames[0].thermal, expected[0], atol=5e-4)
+
+
+def test_atmosphere_defaults_to_flirs(root: Path) -> None:
+    use_planck(root, lambda thermal: [thermal["planck"].pop(k) for k in ("alpha1", "alpha2", "beta1", "beta2", "x")])
+    radiometry = read_rig(root / "rig.json").radiometry
+    assert isinstance(radiometry, PlanckRadiometry) and radiometry.calibration.atmosphere == Atmosphere()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.pop("object"), "thermal.object is missing; it holds emissivity, reflected_c"),
+        (lambda t: t.pop("planck"), "thermal.object needs thermal.planck"),
+        (lambda t: t.update(planck=3), "thermal.planck is not an object {…}"),
+        (lambda t: t["planck"].pop("r2"), "thermal.planck.r2 is missing"),
+        (lambda t: t["planck"].update(b=0), "thermal.planck.b is 0; a Planck constant is a finite number above 0"),
+        (lambda t: t["object"].update(emissivity=95), "thermal.object.emissivity is 95; it is above 0 and at most 1"),
+        (lambda t: t["object"].update(emissivity="0.95"), "thermal.object.emissivity is '0.95'; a finite number is expected"),
+        (lambda t: t["object"].update(relative_humidity=50), "not per cent"),
+        (lambda t: t.update(unit="centikelvin"), "thermal.planck and thermal.unit are both given"),
+        (lambda t: t.update(celsius_offset=0), "thermal.planck and thermal.celsius_offset are both given"),
+    ],
+)
+def test_wrong_planck_blocks_are_refused(root: Path, change: Callable[[dict[str, Any]], Any], said: str) -> None:
+    use_planck(root, change)
+    refused(root, "rig.json", said)
+
+
+def test_parameters_that_leave_no_temperature_are_refused(root: Path) -> None:
+    use_planck(root, lambda thermal: thermal["object"].update(emissivity=0.01, reflected_c=80.0))
+    refused(root, f"{NAMES[0]}.tiff", "100.0% of its pixels", "Is object.emissivity too low")
+
+
+def test_unknown_planck_fields_warn(root: Path) -> None:
+    use_planck(root, lambda thermal: thermal["object"].update(emisivity=0.9))
+    assert any("thermal.object.emisivity is not a known field" in w for w in load_capture(root).warnings)
 
 
 def test_without_radiometry_counts_are_relative(root: Path) -> None:

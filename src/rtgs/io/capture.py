@@ -19,7 +19,7 @@ from rtgs.io.colmap import read_sparse
 from rtgs.io.images import ImageHeader, check_counts_mode, list_images, read_counts, read_header, read_rgb
 from rtgs.io.rig import read_rig
 from rtgs.io.transforms import read_transforms
-from rtgs.radiometry import CountsToCelsius
+from rtgs.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
 from rtgs.scene import Capture, Frame, Poses, Rig
 
 MIN_FRAMES = 3
@@ -66,7 +66,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
 
     def load(name: str) -> Frame:
         rgb = _shrink(rgb_undistortion.apply(read_rgb(rgb_files[name])), rgb_size)
-        thermal = _temperatures(read_counts(thermal_files[name]), rig_file.radiometry)
+        thermal = _temperatures(thermal_files[name], rig_file.radiometry)
         return Frame(name, rgb, thermal_undistortion.apply(thermal))
 
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
@@ -169,8 +169,17 @@ def _compare(source: Path, camera: Camera, calibrated: Camera, warnings: list[st
         warnings.append(f"RGB intrinsics of {source} and rig.json differ by more than 1 % ({said}); those of {source} are used.")
 
 
-def _temperatures(counts: NDArray[np.generic], radiometry: CountsToCelsius | None) -> NDArray[np.float32]:
-    return counts.astype(np.float32) if radiometry is None else radiometry.celsius(counts)
+def _temperatures(path: Path, radiometry: Radiometry | None) -> NDArray[np.float32]:
+    counts = read_counts(path)
+    if radiometry is None:
+        return counts.astype(np.float32)
+    celsius = radiometry.celsius(counts)
+    if isinstance(radiometry, PlanckRadiometry) and celsius.min() <= -ZERO_CELSIUS_K:
+        raise RtgsError(
+            f"{path}: under thermal.planck and thermal.object of rig.json, {np.mean(celsius <= -ZERO_CELSIUS_K):.1%} of its pixels "
+            "give less than what is reflected and emitted on the way. Is object.emissivity too low, or object.reflected_c too high?"
+        )
+    return celsius
 
 
 def _size_within(camera: Camera, max_side: int) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,24 @@ import numpy as np
 from rtgs.camera import DISTORTION_OF_MODEL, Camera
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3, is_rotation, nearest_rotation
-from rtgs.radiometry import CENTIKELVIN, CountsToCelsius
+from rtgs.radiometry import (
+    CENTIKELVIN,
+    Atmosphere,
+    CountsToCelsius,
+    ObjectParameters,
+    PlanckCalibration,
+    PlanckRadiometry,
+    Radiometry,
+)
 from rtgs.scene import Rig
 
 _SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
 _LENS_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")
-_RADIOMETRY = ("celsius_per_count", "celsius_offset", "unit")
+_LINEAR = ("celsius_per_count", "celsius_offset")
+_RADIOMETRY = (*_LINEAR, "unit", "planck", "object")
+_PLANCK = ("r1", "r2", "b", "f", "o")
+_ATMOSPHERE = tuple(field.name for field in fields(Atmosphere))
+_OBJECT = tuple(field.name for field in fields(ObjectParameters))
 _LONG_BASELINE_M = 2.0
 
 
@@ -34,7 +46,7 @@ class RigFile:
     """
 
     rig: Rig
-    radiometry: CountsToCelsius | None
+    radiometry: Radiometry | None
     warnings: tuple[str, ...] = ()
 
 
@@ -50,7 +62,7 @@ def read_rig(path: Path) -> RigFile:
     rgb = camera_from_json(path, "rgb", _member(path, data, "rgb"), warnings)
     thermal_data = _member(path, data, "thermal")
     thermal = camera_from_json(path, "thermal", thermal_data, warnings, more_fields=_RADIOMETRY)
-    radiometry = _radiometry(path, thermal_data)
+    radiometry = _radiometry(path, thermal_data, warnings)
     rgb_from_thermal = _rig_transform(path, data)
     unknown = sorted(set(data) - {"rgb", "thermal", "thermal_from_rgb", "rgb_from_thermal"})
     if unknown:
@@ -63,12 +75,10 @@ def read_rig(path: Path) -> RigFile:
     return RigFile(rig, radiometry, tuple(warnings))
 
 
-def write_rig(path: Path, rig: Rig, radiometry: CountsToCelsius | None) -> None:
+def write_rig(path: Path, rig: Rig, radiometry: Radiometry | None) -> None:
     """Write `rig.json` so that `read_rig` gives the same records."""
-    thermal = _camera_to_json(rig.thermal)
-    if radiometry is not None:
-        thermal |= {"celsius_per_count": radiometry.celsius_per_count, "celsius_offset": radiometry.celsius_offset}
-    data = {"rgb": _camera_to_json(rig.rgb), "thermal": thermal, "rgb_from_thermal": rig.rgb_from_thermal.matrix().tolist()}
+    thermal = camera_to_json(rig.thermal) | radiometry_to_json(radiometry)
+    data = {"rgb": camera_to_json(rig.rgb), "thermal": thermal, "rgb_from_thermal": rig.rgb_from_thermal.matrix().tolist()}
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
@@ -186,26 +196,61 @@ def _rig_transform(path: Path, data: Mapping[str, Any]) -> SE3:
     return transform if given[0] == "rgb_from_thermal" else transform.inverse()
 
 
-def _radiometry(path: Path, thermal: Mapping[str, Any]) -> CountsToCelsius | None:
-    linear = [key for key in ("celsius_per_count", "celsius_offset") if key in thermal]
+def _radiometry(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> Radiometry | None:
+    given = [key for key in (*_LINEAR, "unit", "planck") if key in thermal]
+    ways = [key for key in given if key != "celsius_offset" or "celsius_per_count" not in given]  # those two are one way
+    if len(ways) > 1:
+        raise RtgsError(f"{path}: thermal.{ways[1]} and thermal.{ways[0]} are both given, and each defines °C. Keep one.")
+    if "object" in thermal and "planck" not in thermal:
+        raise RtgsError(f"{path}: thermal.object needs thermal.planck: object parameters change a signal, not a temperature.")
+    if not given:
+        return None
+    if "planck" in thermal:
+        return _planck(path, thermal, warnings)
     if "unit" in thermal:
-        if linear:
-            raise RtgsError(f"{path}: thermal.unit and thermal.{linear[0]} are both given, and each defines °C. Keep one.")
         if thermal["unit"] != "centikelvin":
             raise RtgsError(
                 f"{path}: thermal.unit is {thermal['unit']!r}; 'centikelvin' is the only one. Otherwise give "
                 "celsius_per_count and celsius_offset (1 and 0 for images in °C)."
             )
         return CENTIKELVIN
-    if not linear:
-        return None
-    radiometry = CountsToCelsius(
-        finite_number(path, "thermal.celsius_per_count", thermal, "celsius_per_count"),
-        finite_number(path, "thermal.celsius_offset", thermal, "celsius_offset"),
-    )
+    radiometry = CountsToCelsius(*(finite_number(path, f"thermal.{key}", thermal, key) for key in _LINEAR))
     if radiometry.celsius_per_count <= 0:
         raise RtgsError(f"{path}: thermal.celsius_per_count is {radiometry.celsius_per_count:g}; it is above 0.")
     return radiometry
+
+
+def _planck(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> PlanckRadiometry:
+    def numbers(block: str, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, float]:
+        data = thermal.get(block)
+        if not isinstance(data, dict):
+            raise RtgsError(
+                f"{path}: thermal.{block} is {'missing' if data is None else 'not an object {…}'}; it holds {', '.join(names)}."
+            )
+        unknown = sorted(set(data) - {*names, *optional})
+        if unknown:
+            said = ", ".join(f"thermal.{block}.{name}" for name in unknown)
+            warnings.append(f"{path.name}: {said} is not a known field and was ignored.")
+        wanted = (*names, *(name for name in optional if name in data))
+        return {name: finite_number(path, f"thermal.{block}.{name}", data, name) for name in wanted}
+
+    planck, parameters = numbers("planck", _PLANCK, _ATMOSPHERE), numbers("object", _OBJECT)
+    atmosphere = Atmosphere(**{name: planck.pop(name) for name in _ATMOSPHERE if name in planck})
+    try:
+        return PlanckRadiometry(PlanckCalibration(**planck, atmosphere=atmosphere), ObjectParameters(**parameters))
+    except RtgsError as error:
+        raise RtgsError(f"{path}: thermal.{error}") from error
+
+
+def radiometry_to_json(radiometry: Radiometry | None) -> dict[str, Any]:
+    """The fields of `thermal` that give °C; none where counts are relative."""
+    if radiometry is None:
+        return {}
+    if isinstance(radiometry, CountsToCelsius):
+        return asdict(radiometry)
+    planck = asdict(radiometry.calibration)
+    atmosphere = planck.pop("atmosphere")
+    return {"planck": planck | atmosphere, "object": asdict(radiometry.parameters)}
 
 
 def _member(path: Path, data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -216,6 +261,7 @@ def _member(path: Path, data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return data[key]
 
 
-def _camera_to_json(camera: Camera) -> dict[str, Any]:
+def camera_to_json(camera: Camera) -> dict[str, Any]:
+    """A camera's fields as `rig.json` has them."""
     names = ("model", *_SIZE_AND_PINHOLE, *DISTORTION_OF_MODEL[camera.model])
     return {name: getattr(camera, name) for name in names}
