@@ -185,7 +185,7 @@ class SynthConfig:
     supersampling: int = 2
     """n: every pixel is the mean of n × n rays"""
     thermal_clean: bool = True
-    """also write each thermal image in °C without blur, gain, noise or quantisation, under `ground_truth/`"""
+    """also write each thermal image in °C without blur, gain, noise or quantisation, beside the truth"""
 
     def check(self) -> None:
         """Raises `RtgsError` where a field is out of its range."""
