@@ -1,107 +1,67 @@
-"""The few per-channel steps of the blending kernels, written out for 1–4 channels.
+"""The few per-channel steps of the reverse kernels, written out for the channel count when it is compiled.
 
-LLVM keeps a splat's colours in registers and vectorises the pixel row only when the channel loop does not exist; one specialisation
-a channel count is worth a factor of three. The count travels as the length of a tuple, so it is part of the compiled type.
+Sums over a tile's rows have to stay in registers, and a loop over channels would put them in memory. The count travels as the
+length of a tuple, so it is part of the compiled type.
 """
 
 from __future__ import annotations
 
-from numba.extending import overload
+from typing import Any
 
-from rtgs.render.cpu.projection import COLORS
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.extending import intrinsic
 
-MAX_CHANNELS = 4
-
-
-def colors_of(splat, channels):
-    """The splat's colours as a tuple of C scalars."""
-    raise NotImplementedError("compiled code only")
+from rtgs.render.cpu.simd import FLAGS, address, float_lanes, repeat, vector_of
 
 
-def add_color(color, r: int, i: int, weight, values):
-    """`color[q, r, i] += weight · values[q]` for each channel q."""
-    raise NotImplementedError("compiled code only")
+def _planes(context: Any, builder: Any, kind: Any, array: Any, index: Any, step: Any, count: int) -> list[Any]:
+    """`count` loads, `step` numbers apart."""
+    out = []
+    for _ in range(count):
+        out.append(builder.load(address(context, builder, kind, array, index), align=4))
+        index = builder.add(index, step)
+    return out
 
 
-def dot_gradient(grad, r: int, i: int, values):
-    """`Σ_q grad[q, r, i] · values[q]`, plus the gradient of alpha, which is channel C of `grad`."""
-    raise NotImplementedError("compiled code only")
+@intrinsic
+def no_lanes(typingctx, channels):  # type: ignore[no-untyped-def]
+    """A tuple of C zero lanes; `channels` is a tuple of length C."""
+    sums = types.UniTuple(float_lanes, channels.count)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        zero = ir.Constant(vector_of(float_lanes), [ir.Constant(ir.FloatType(), 0.0)] * 16)
+        return context.make_tuple(builder, sums, [zero] * channels.count)
+
+    return sums(channels), codegen
 
 
-def add_color_gradient(lanes, i: int, weight, grad, r: int, channels):
-    """`lanes[q, i] += weight · grad[q, r, i]` for each channel q."""
-    raise NotImplementedError("compiled code only")
+@intrinsic
+def add_scaled(typingctx, sums, weight, planes, index, step):  # type: ignore[no-untyped-def]
+    """sums[q] + weight · planes[index + q·step …] for each channel q."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        old = cgutils.unpack_tuple(builder, args[0])
+        loaded = _planes(context, builder, sig.args[2], args[2], args[3], args[4], len(old))
+        new = [
+            builder.fadd(s, builder.fmul(args[1], g, flags=FLAGS), flags=FLAGS) for s, g in zip(old, loaded, strict=True)
+        ]
+        return context.make_tuple(builder, sig.return_type, new)
+
+    return sums(sums, float_lanes, planes, types.intp, types.intp), codegen
 
 
-@overload(colors_of, inline="always")
-def _colors_of(splat, channels):
-    return [
-        lambda splat, channels: (splat[COLORS],),
-        lambda splat, channels: (splat[COLORS], splat[COLORS + 1]),
-        lambda splat, channels: (splat[COLORS], splat[COLORS + 1], splat[COLORS + 2]),
-        lambda splat, channels: (splat[COLORS], splat[COLORS + 1], splat[COLORS + 2], splat[COLORS + 3]),
-    ][len(channels) - 1]
+@intrinsic
+def weighted_sum(typingctx, channels, start, planes, index, step, splats, at):  # type: ignore[no-untyped-def]
+    """start + Σ_q splats[at + q] · planes[index + q·step …]."""
 
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        _, total, array, index, step, rows, at = args
+        data = context.make_array(sig.args[5])(context, builder, rows).data
+        for plane in _planes(context, builder, sig.args[2], array, index, step, channels.count):
+            color = repeat(builder, builder.load(builder.gep(data, [at])))
+            total = builder.fadd(total, builder.fmul(color, plane, flags=FLAGS), flags=FLAGS)
+            at = builder.add(at, at.type(1))
+        return total
 
-@overload(add_color, inline="always")
-def _add_color(color, r, i, weight, values):
-    def one(color, r, i, weight, values):
-        color[0, r, i] += weight * values[0]
-
-    def two(color, r, i, weight, values):
-        color[0, r, i] += weight * values[0]
-        color[1, r, i] += weight * values[1]
-
-    def three(color, r, i, weight, values):
-        color[0, r, i] += weight * values[0]
-        color[1, r, i] += weight * values[1]
-        color[2, r, i] += weight * values[2]
-
-    def four(color, r, i, weight, values):
-        color[0, r, i] += weight * values[0]
-        color[1, r, i] += weight * values[1]
-        color[2, r, i] += weight * values[2]
-        color[3, r, i] += weight * values[3]
-
-    return [one, two, three, four][len(values) - 1]
-
-
-@overload(dot_gradient, inline="always")
-def _dot_gradient(grad, r, i, values):
-    return [
-        lambda grad, r, i, values: grad[0, r, i] * values[0] + grad[1, r, i],
-        lambda grad, r, i, values: grad[0, r, i] * values[0] + grad[1, r, i] * values[1] + grad[2, r, i],
-        lambda grad, r, i, values: (
-            grad[0, r, i] * values[0] + grad[1, r, i] * values[1] + grad[2, r, i] * values[2] + grad[3, r, i]
-        ),
-        lambda grad, r, i, values: (
-            grad[0, r, i] * values[0]
-            + grad[1, r, i] * values[1]
-            + grad[2, r, i] * values[2]
-            + grad[3, r, i] * values[3]
-            + grad[4, r, i]
-        ),
-    ][len(values) - 1]
-
-
-@overload(add_color_gradient, inline="always")
-def _add_color_gradient(lanes, i, weight, grad, r, channels):
-    def one(lanes, i, weight, grad, r, channels):
-        lanes[0, i] += weight * grad[0, r, i]
-
-    def two(lanes, i, weight, grad, r, channels):
-        lanes[0, i] += weight * grad[0, r, i]
-        lanes[1, i] += weight * grad[1, r, i]
-
-    def three(lanes, i, weight, grad, r, channels):
-        lanes[0, i] += weight * grad[0, r, i]
-        lanes[1, i] += weight * grad[1, r, i]
-        lanes[2, i] += weight * grad[2, r, i]
-
-    def four(lanes, i, weight, grad, r, channels):
-        lanes[0, i] += weight * grad[0, r, i]
-        lanes[1, i] += weight * grad[1, r, i]
-        lanes[2, i] += weight * grad[2, r, i]
-        lanes[3, i] += weight * grad[3, r, i]
-
-    return [one, two, three, four][len(channels) - 1]
+    return float_lanes(channels, float_lanes, planes, types.intp, types.intp, splats, types.intp), codegen

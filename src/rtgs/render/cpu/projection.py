@@ -1,92 +1,214 @@
-"""Project Gaussians to splats, and take a splat's gradients back to Gaussian and pose. One loop iteration is one Gaussian.
+"""Project Gaussians to splats, take a splat's gradients back to Gaussian and pose, and a camera's motion forward to splats.
 
-Arithmetic is float64 inside an iteration (it is scalar code, so this costs nothing) and float32 in memory.
+Sixteen Gaussians are worked on at once: they are copied into planes of sixteen, so that any selection of them will do. Camera
+coordinates and pixel centres are float64 (a world may lie far from its origin), the rest float32; the covariance's determinant is
+summed from squares of minors, which cancels nowhere.
 
 Letters, fixed here: W, t = camera_from_world; V = W·M with M = R(q)·diag(σ); U = J·V the 2×3 square root of the projected
-covariance; (A, B, C) = the conic, i.e. the inverse covariance [[A, B], [B, C]].
+covariance [[a, b], [b, c]] before the blur; Q = its inverse after the blur.
 """
 
 from __future__ import annotations
 
-import math
 
 import numba as nb
 import numpy as np
 
+from rtgs.render.cpu.layout import (
+    CHUNKS,
+    COLORS,
+    DX,
+    DXX,
+    DXY,
+    DY,
+    DYY,
+    ETA,
+    G_COLORS,
+    KAPPA,
+    LOG2_ALPHA_MIN,
+    LOG2_OPACITY,
+    ONE,
+    SLANT,
+    SPLAT,
+    TILE,
+    X_LOW,
+    Y_LOW,
+    X,
+    Y,
+)
+from rtgs.render.cpu.simd import (
+    LANES,
+    ceil,
+    exponential,
+    floor,
+    lanes_of,
+    load,
+    log2,
+    magnitude,
+    mask_bits,
+    maximum,
+    minimum,
+    narrow,
+    square_root,
+    store,
+    total,
+    where,
+    widen,
+)
 from rtgs.render.settings import ALPHA_MIN, COVARIANCE_BLUR_PX2, FRUSTUM_MARGIN
 
-TILE = 16
-CHUNKS = 64  # pose gradients are summed per chunk, then over chunks: the same sum for any number of threads
-# Columns of a splat row; the colours follow.
-X, Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, REACH, HALF_HEIGHT, COLORS = range(9)
-# Columns of a splat's gradient row; the colours follow.
-G_X, G_Y, G_A, G_B, G_C, G_OPACITY, G_COLORS = range(7)
-_LOG_CUTOFF = math.log(1.0 / ALPHA_MIN)
+F = np.float32
+_LOG2_E = 1.4426950408889634
+# Planes of a group of sixteen Gaussians.
+_MEAN, _QUAT, _LOG_SCALE, _LOGIT, _OFFSET = 0, 3, 7, 10, 11
+_INPUTS = 13
 
 
 @nb.njit(inline="always")
-def _camera_square_root(q, log_scale, rotation, m, v):
-    """Fill M = R(q)·diag(exp log_scale) and V = W·M; return 1/|q|."""
-    inv = 1.0 / max(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), 1e-12)
-    w, x, y, z = q[0] * inv, q[1] * inv, q[2] * inv, q[3] * inv
-    s0, s1, s2 = math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2])
-    m[0, 0] = (1 - 2 * (y * y + z * z)) * s0
-    m[0, 1] = 2 * (x * y - w * z) * s1
-    m[0, 2] = 2 * (x * z + w * y) * s2
-    m[1, 0] = 2 * (x * y + w * z) * s0
-    m[1, 1] = (1 - 2 * (x * x + z * z)) * s1
-    m[1, 2] = 2 * (y * z - w * x) * s2
-    m[2, 0] = 2 * (x * z - w * y) * s0
-    m[2, 1] = 2 * (y * z + w * x) * s1
-    m[2, 2] = (1 - 2 * (x * x + y * y)) * s2
+def slot_width(numbers):
+    """Length of a row of `slot_grads` that holds so many numbers: whole quarters of a register."""
+    return (numbers + 3) // 4 * 4
+
+
+@nb.njit(inline="always")
+def _gather(lane, i, means, quats, log_scales, opacity_logits, offsets, group):
+    for k in range(3):
+        group[(_MEAN + k) * LANES + lane] = means[i, k]
+        group[(_LOG_SCALE + k) * LANES + lane] = log_scales[i, k]
+    for k in range(4):
+        group[(_QUAT + k) * LANES + lane] = quats[i, k]
+    group[_LOGIT * LANES + lane] = opacity_logits[i]
+    group[_OFFSET * LANES + lane] = offsets[i, 0] if len(offsets) > 0 else F(0)
+    group[(_OFFSET + 1) * LANES + lane] = offsets[i, 1] if len(offsets) > 0 else F(0)
+
+
+@nb.njit(inline="always")
+def _plane(group, k):
+    return load(group, k * LANES)
+
+
+@nb.njit(inline="always")
+def _wide(group, k):
+    return widen(load(group, k * LANES))
+
+
+@nb.njit(inline="always")
+def _camera_point(group, rotation, translation):
+    """The centres in camera coordinates, float64."""
+    x, y, z = widen(_plane(group, _MEAN)), widen(_plane(group, _MEAN + 1)), widen(_plane(group, _MEAN + 2))
+    return (
+        x * rotation[0, 0] + y * rotation[0, 1] + z * rotation[0, 2] + translation[0],
+        x * rotation[1, 0] + y * rotation[1, 1] + z * rotation[1, 2] + translation[1],
+        x * rotation[2, 0] + y * rotation[2, 1] + z * rotation[2, 2] + translation[2],
+    )
+
+
+@nb.njit(inline="always")
+def _camera_square_root(group, rotation, m, v):
+    """Fill M and V, `[9 · 16]` each, row by row; return 1/|q|."""
+    w, x, y, z = _plane(group, _QUAT), _plane(group, _QUAT + 1), _plane(group, _QUAT + 2), _plane(group, _QUAT + 3)
+    inverse = 1.0 / maximum(square_root(w * w + x * x + y * y + z * z), 1e-12)
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
+    s0, s1, s2 = (
+        exponential(_plane(group, _LOG_SCALE)),
+        exponential(_plane(group, _LOG_SCALE + 1)),
+        exponential(_plane(group, _LOG_SCALE + 2)),
+    )
+    store(m, 0 * LANES, (1.0 - 2.0 * (y * y + z * z)) * s0)
+    store(m, 1 * LANES, 2.0 * (x * y - w * z) * s1)
+    store(m, 2 * LANES, 2.0 * (x * z + w * y) * s2)
+    store(m, 3 * LANES, 2.0 * (x * y + w * z) * s0)
+    store(m, 4 * LANES, (1.0 - 2.0 * (x * x + z * z)) * s1)
+    store(m, 5 * LANES, 2.0 * (y * z - w * x) * s2)
+    store(m, 6 * LANES, 2.0 * (x * z - w * y) * s0)
+    store(m, 7 * LANES, 2.0 * (y * z + w * x) * s1)
+    store(m, 8 * LANES, (1.0 - 2.0 * (x * x + y * y)) * s2)
     for i in range(3):
         for j in range(3):
-            v[i, j] = rotation[i, 0] * m[0, j] + rotation[i, 1] * m[1, j] + rotation[i, 2] * m[2, j]
-    return inv
+            store(
+                v,
+                (3 * i + j) * LANES,
+                _plane(m, j) * rotation[i, 0] + _plane(m, 3 + j) * rotation[i, 1] + _plane(m, 6 + j) * rotation[i, 2],
+            )
+    return inverse
 
 
 @nb.njit(inline="always")
-def _clamped_slopes(x, y, z, intrinsics, size):
-    """x/z and y/z, held within the view plus a margin, and whether each was held."""
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * size[0] / fx, FRUSTUM_MARGIN * 0.5 * size[1] / fy
-    slope_x, slope_y = x / z, y / z
-    held_x = min(max(slope_x, -cx / fx - margin_x), (size[0] - cx) / fx + margin_x)
-    held_y = min(max(slope_y, -cy / fy - margin_y), (size[1] - cy) / fy + margin_y)
-    return held_x, held_y, held_x != slope_x, held_y != slope_y
+def _held(slope, centre, focal, size):
+    """x/z or y/z held within the view plus a margin."""
+    margin = FRUSTUM_MARGIN * 0.5 * size / focal
+    return minimum(maximum(slope, -centre / focal - margin), (size - centre) / focal + margin)
 
 
 @nb.njit(inline="always")
-def tile_span(s, row, width, height):
-    """First and one past the last tile of tile row `row` that the splat's ellipse touches at a pixel centre."""
-    a, b, c = float(s[CONIC_A]), float(s[CONIC_B]), float(s[CONIC_C])
-    t2, det = 2.0 * s[REACH], a * c - b * b
-    half_h, half_w = math.sqrt(t2 * a / det), math.sqrt(t2 * c / det)
-    lo = max(row * TILE + 0.5 - s[Y], -half_h)
-    hi = min(min(row * TILE + TILE, height) - 0.5 - s[Y], half_h)
-    if lo > hi:
-        return 0, 0
-    # The rightmost point of the ellipse is at height −b/c·half_w; within the band the edge is nearest to it.
-    at = min(max(-b / c * half_w, lo), hi)
-    right = (-b * at + math.sqrt(max(a * t2 - det * at * at, 0.0))) / a
-    at = min(max(b / c * half_w, lo), hi)
-    left = (-b * at - math.sqrt(max(a * t2 - det * at * at, 0.0))) / a
-    # A hundredth of a pixel of slack covers float32 rounding of the centre.
-    first = max(math.ceil(s[X] + left - 0.51), 0.0)
-    last = min(math.floor(s[X] + right - 0.49), width - 1.0)
-    if first > last:
-        return 0, 0
-    return int(first) // TILE, int(last) // TILE + 1
+def _image_square_root(v, jx, jy, sx, sy, u):
+    """Fill U `[6 · 16]`, row by row."""
+    for j in range(3):
+        store(u, j * LANES, jx * (_plane(v, j) - sx * _plane(v, 6 + j)))
+        store(u, (3 + j) * LANES, jy * (_plane(v, 3 + j) - sy * _plane(v, 6 + j)))
 
 
 @nb.njit(inline="always")
-def tile_rows(s, height):
-    """First and one past the last tile row of the splat's bounding box."""
-    first = max(math.ceil(s[Y] - s[HALF_HEIGHT] - 0.51), 0.0)
-    last = min(math.floor(s[Y] + s[HALF_HEIGHT] - 0.49), height - 1.0)
-    if first > last:
-        return 0, 0
-    return int(first) // TILE, int(last) // TILE + 1
+def _covariance(u):
+    """a, b, c and the determinant ac − b² of U·Uᵀ, float64; the determinant as the sum of U's squared minors."""
+    x0, x1, x2, y0, y1, y2 = _wide(u, 0), _wide(u, 1), _wide(u, 2), _wide(u, 3), _wide(u, 4), _wide(u, 5)
+    n0, n1, n2 = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
+    return (
+        x0 * x0 + x1 * x1 + x2 * x2,
+        x0 * y0 + x1 * y1 + x2 * y2,
+        y0 * y0 + y1 * y1 + y2 * y2,
+        n0 * n0 + n1 * n1 + n2 * n2,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _project_group(group, rotation, translation, intrinsics, size, near, antialiased, scratch, out, centres):
+    """Fill `out`: SLANT … LOG2_OPACITY and the pixel rectangle; `centres` (x, y, low parts); z. Returns the visible lanes as bits."""
+    x, y, z = _camera_point(group, rotation, translation)
+    deep = mask_bits(z > near)
+    if deep == 0:
+        return deep
+    pixel_x = intrinsics[0] * x / z + intrinsics[2] + widen(_plane(group, _OFFSET))
+    pixel_y = intrinsics[1] * y / z + intrinsics[3] + widen(_plane(group, _OFFSET + 1))
+    px, py = narrow(pixel_x), narrow(pixel_y)
+    depth = narrow(z)
+    m, v, u = scratch[: 9 * LANES], scratch[9 * LANES : 18 * LANES], scratch[18 * LANES : 24 * LANES]
+    _camera_square_root(group, rotation, m, v)
+    sx = _held(narrow(x) / depth, intrinsics[2], intrinsics[0], size[0])
+    sy = _held(narrow(y) / depth, intrinsics[3], intrinsics[1], size[1])
+    _image_square_root(v, intrinsics[0] / depth, intrinsics[1] / depth, sx, sy, u)
+    a, b, c, det_sharp = _covariance(u)
+    det = det_sharp + COVARIANCE_BLUR_PX2 * (a + c) + COVARIANCE_BLUR_PX2 * COVARIANCE_BLUR_PX2
+    a, c = a + COVARIANCE_BLUR_PX2, c + COVARIANCE_BLUR_PX2
+    slant, eta, kappa = narrow(b / c), narrow((0.5 * _LOG2_E) * c / det), narrow((0.5 * _LOG2_E) / c)
+    fade = narrow(square_root(maximum(det_sharp / det, 1e-12)))
+    finite = mask_bits(det < np.inf)
+    wide, high = narrow(a), narrow(c)
+    opacity = 1.0 / (1.0 + exponential(-_plane(group, _LOGIT)))
+    if antialiased:
+        opacity = opacity * fade
+    log_opacity = log2(opacity)
+    reach = maximum(log_opacity - LOG2_ALPHA_MIN, 0.0) * (2.0 / _LOG2_E)
+    half_x, half_y = square_root(reach * wide), square_root(reach * high)
+    # A hundredth of a pixel of slack covers float32.
+    left, right = maximum(ceil(px - half_x - 0.51), 0.0), minimum(floor(px + half_x - 0.49), size[0] - 1.0)
+    upper, lower = maximum(ceil(py - half_y - 0.51), 0.0), minimum(floor(py + half_y - 0.49), size[1] - 1.0)
+    store(centres, 0, px)
+    store(centres, LANES, py)
+    store(centres, 2 * LANES, narrow(pixel_x - widen(px)))
+    store(centres, 3 * LANES, narrow(pixel_y - widen(py)))
+    store(out, 0, slant)
+    store(out, LANES, eta)
+    store(out, 2 * LANES, kappa)
+    store(out, 3 * LANES, log_opacity)
+    store(out, 4 * LANES, left)
+    store(out, 5 * LANES, right)
+    store(out, 6 * LANES, upper)
+    store(out, 7 * LANES, lower)
+    store(out, 8 * LANES, depth)
+    finite = finite & mask_bits((half_x < np.inf) & (half_y < np.inf))
+    in_view = (px + half_x > 0.5) & (px - half_x < size[0] - 0.5) & (py + half_y > 0.5) & (py - half_y < size[1] - 0.5)
+    return deep & finite & mask_bits((opacity > ALPHA_MIN) & in_view & (left <= right) & (upper <= lower))
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
@@ -96,6 +218,7 @@ def project(
     log_scales,
     opacity_logits,
     offsets,
+    colors,
     rotation,
     translation,
     intrinsics,
@@ -104,60 +227,167 @@ def project(
     antialiased,
     splats,
     depths,
+    boxes,
     tiles,
 ):
-    """Fill `splats` `[N, 8]`, `depths` `[N]` and `tiles` `[N]` (tiles touched; 0 = not visible)."""
+    """Fill, for visible Gaussians, `splats` `[N · 16]`, `depths` `[N]` and `boxes` `[N, 4]` (first tile column and row, columns,
+    rows); for all, `tiles` `[N]`, the number of tiles in the box (0: not visible).
+
+    `offsets` `[N, 2]` or `[0, 2]`, `colors` `[N, C]`.
+    """
+    n = len(means)
     for chunk in nb.prange(CHUNKS):
-        m, v = np.empty((3, 3)), np.empty((3, 3))
-        for i in range(chunk * len(means) // CHUNKS, (chunk + 1) * len(means) // CHUNKS):
-            tiles[i] = 0
-            mx, my, mz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
-            z = rotation[2, 0] * mx + rotation[2, 1] * my + rotation[2, 2] * mz + translation[2]
-            if not z > near:
-                continue
-            x = rotation[0, 0] * mx + rotation[0, 1] * my + rotation[0, 2] * mz + translation[0]
-            y = rotation[1, 0] * mx + rotation[1, 1] * my + rotation[1, 2] * mz + translation[1]
-            opacity = 1.0 / (1.0 + math.exp(-opacity_logits[i]))
-            if not opacity > ALPHA_MIN:
-                continue
-            _camera_square_root(quats[i], log_scales[i], rotation, m, v)
-            sx, sy, _, _ = _clamped_slopes(x, y, z, intrinsics, size)
-            jx, jy = intrinsics[0] / z, intrinsics[1] / z
-            a = b = c = 0.0
-            for j in range(3):
-                ux, uy = jx * (v[0, j] - sx * v[2, j]), jy * (v[1, j] - sy * v[2, j])
-                a += ux * ux
-                b += ux * uy
-                c += uy * uy
-            det_sharp = a * c - b * b
-            a += COVARIANCE_BLUR_PX2
-            c += COVARIANCE_BLUR_PX2
-            det = a * c - b * b
-            if antialiased:
-                opacity *= math.sqrt(max(det_sharp / det, 1e-12))
-                if not opacity > ALPHA_MIN:
+        group, scratch = np.zeros(_INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
+        out, centres = np.empty(9 * LANES, np.float32), np.empty(4 * LANES, np.float32)
+        stop = (chunk + 1) * n // CHUNKS
+        for first in range(chunk * n // CHUNKS, stop, LANES):
+            count = min(LANES, stop - first)
+            for lane in range(count):
+                _gather(lane, first + lane, means, quats, log_scales, opacity_logits, offsets, group)
+            bits = _project_group(group, rotation, translation, intrinsics, size, near, antialiased, scratch, out, centres)
+            for lane in range(count):
+                i = first + lane
+                if not (bits >> lane) & 1:
+                    tiles[i] = 0
                     continue
-            if not det < np.inf:
-                continue
-            s = splats[i]
-            s[X] = intrinsics[0] * x / z + intrinsics[2] + offsets[i, 0]
-            s[Y] = intrinsics[1] * y / z + intrinsics[3] + offsets[i, 1]
-            s[CONIC_A] = c / det
-            s[CONIC_B] = -b / det
-            s[CONIC_C] = a / det
-            s[OPACITY] = opacity
-            s[REACH] = math.log(opacity) + _LOG_CUTOFF
-            s[HALF_HEIGHT] = math.sqrt(2.0 * s[REACH] * c)
-            # The conic of a needle loses its determinant to float32; what is left out here could not be drawn either.
-            if not float(s[CONIC_A]) * float(s[CONIC_C]) > float(s[CONIC_B]) * float(s[CONIC_B]):
-                continue
-            depths[i] = z
-            first, last = tile_rows(s, size[1])
-            count = 0
-            for row in range(first, last):
-                left, right = tile_span(s, row, size[0], size[1])
-                count += right - left
-            tiles[i] = count
+                s = i * SPLAT
+                splats[s + X], splats[s + Y] = centres[lane], centres[LANES + lane]
+                splats[s + X_LOW], splats[s + Y_LOW] = centres[2 * LANES + lane], centres[3 * LANES + lane]
+                splats[s + SLANT], splats[s + ETA] = out[lane], out[LANES + lane]
+                splats[s + KAPPA], splats[s + LOG2_OPACITY] = out[2 * LANES + lane], out[3 * LANES + lane]
+                for c in range(colors.shape[1]):
+                    splats[s + COLORS + c] = colors[i, c]
+                column, row = int(out[4 * LANES + lane]) // TILE, int(out[6 * LANES + lane]) // TILE
+                columns = int(out[5 * LANES + lane]) // TILE + 1 - column
+                rows = int(out[7 * LANES + lane]) // TILE + 1 - row
+                boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3] = column, row, columns, rows
+                depths[i] = out[8 * LANES + lane]
+                tiles[i] = columns * rows
+
+
+@nb.njit(inline="always")
+def _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width):
+    """The sum of a Gaussian's slots, a row of `width` numbers each (lanes beyond it are noise), and how many there were."""
+    sums, found, j = lanes_of(F(0)), 0, pair_starts[i]
+    for row in range(boxes[i, 1], boxes[i, 1] + boxes[i, 3]):
+        for column in range(boxes[i, 0], boxes[i, 0] + boxes[i, 2]):
+            tile, place = row * tiles_x + column, places[j]
+            j += 1
+            if place < used[tile]:
+                found += 1
+                sums = sums + load(slot_grads, (slot_starts[tile] + place) * width)
+    return sums, found
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _pull_back_group(group, moments, rotation, translation, intrinsics, size, antialiased, scratch, out, pose):
+    """Gradients of sixteen Gaussians from their moments.
+
+    Args:
+        moments: `[6 · 16]`. out: `[13 · 16]`, in the order of the inputs. pose: `[12 · 16]` float64, (W, t) row by row, added to.
+    """
+    wide_x, wide_y, wide_z = _camera_point(group, rotation, translation)
+    x, y, z = narrow(wide_x), narrow(wide_y), narrow(wide_z)
+    m, v, u = scratch[: 9 * LANES], scratch[9 * LANES : 18 * LANES], scratch[18 * LANES : 24 * LANES]
+    inverse_norm = _camera_square_root(group, rotation, m, v)
+    slope_x, slope_y = x / z, y / z
+    sx, sy = _held(slope_x, intrinsics[2], intrinsics[0], size[0]), _held(slope_y, intrinsics[3], intrinsics[1], size[1])
+    jx, jy = intrinsics[0] / z, intrinsics[1] / z
+    _image_square_root(v, jx, jy, sx, sy, u)
+
+    # Q·M·Q·U cancels as (length / width)² of what is drawn, twice: float64.
+    a, b, c, det_sharp = _covariance(u)
+    det = det_sharp + COVARIANCE_BLUR_PX2 * (a + c) + COVARIANCE_BLUR_PX2 * COVARIANCE_BLUR_PX2
+    inverse = 1.0 / det
+    q00, q01, q11 = (c + COVARIANCE_BLUR_PX2) * inverse, -b * inverse, (a + COVARIANCE_BLUR_PX2) * inverse
+    one, mx, my = _wide(moments, ONE), _wide(moments, DX), _wide(moments, DY)
+    mxx, mxy, myy = _wide(moments, DXX), _wide(moments, DXY), _wide(moments, DYY)
+    gx, gy = narrow(q00 * mx + q01 * my), narrow(q01 * mx + q11 * my)
+    # ∂L/∂covariance = ½·Q·M·Q, symmetric: (h00, h01, h11).
+    p00, p01, p10, p11 = q00 * mxx + q01 * mxy, q00 * mxy + q01 * myy, q01 * mxx + q11 * mxy, q01 * mxy + q11 * myy
+    h00, h01, h11 = 0.5 * (p00 * q00 + p01 * q01), 0.5 * (p00 * q01 + p01 * q11), 0.5 * (p10 * q01 + p11 * q11)
+    if antialiased:
+        # d ln fade = ½·(tr Σ₀⁻¹dΣ − tr Q·dΣ), while the fade is above its floor.
+        k = where(det_sharp > 1e-12 * det, 0.5 * one, 0.0)
+        sharp = 1.0 / maximum(det_sharp, 1e-300)
+        h00 = h00 + k * (c * sharp - q00)
+        h01 = h01 + k * (-b * sharp - q01)
+        h11 = h11 + k * (a * sharp - q11)
+    store(out, _LOGIT * LANES, narrow(one) / (1.0 + exponential(_plane(group, _LOGIT))))
+    store(out, _OFFSET * LANES, gx)
+    store(out, (_OFFSET + 1) * LANES, gy)
+
+    # covariance = U·Uᵀ, U = J·V; J = [[jx, 0, −jx·sx], [0, jy, −jy·sy]]. V gives way to its gradient.
+    dj00, dj02, dj11, dj12 = 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x
+    for j in range(3):
+        ux, uy = _wide(u, j), _wide(u, 3 + j)
+        dux, duy = narrow(2.0 * (h00 * ux + h01 * uy)), narrow(2.0 * (h01 * ux + h11 * uy))
+        dj00 = dj00 + dux * _plane(v, j)
+        dj02 = dj02 + dux * _plane(v, 6 + j)
+        dj11 = dj11 + duy * _plane(v, 3 + j)
+        dj12 = dj12 + duy * _plane(v, 6 + j)
+        store(v, j * LANES, jx * dux)
+        store(v, (3 + j) * LANES, jy * duy)
+        store(v, (6 + j) * LANES, -(jx * sx * dux + jy * sy * duy))
+    free_x, free_y = magnitude(sx - slope_x) <= 0.0, magnitude(sy - slope_y) <= 0.0
+    dx = jx * gx - where(free_x, jx * dj02 / z, 0.0)
+    dy = jy * gy - where(free_y, jy * dj12 / z, 0.0)
+    dz = -(jx * x * gx + jy * y * gy + jx * dj00 + jy * dj11) / z
+    dz = dz + (where(free_x, 2.0 * jx * sx, jx * sx) * dj02 + where(free_y, 2.0 * jy * sy, jy * sy) * dj12) / z
+    for k in range(3):
+        store(out, (_MEAN + k) * LANES, dx * rotation[0, k] + dy * rotation[1, k] + dz * rotation[2, k])
+
+    for r in range(3):
+        d = dx if r == 0 else (dy if r == 1 else dz)
+        for k in range(3):
+            towards = d * _plane(group, _MEAN + k)
+            for j in range(3):
+                towards = towards + _plane(v, 3 * r + j) * _plane(m, 3 * k + j)
+            at = (3 * r + k) * LANES
+            store(pose, at, load(pose, at) + widen(towards))
+        at = (9 + r) * LANES
+        store(pose, at, load(pose, at) + widen(d))
+
+    # ∂M = Wᵀ·∂V, then M = R(q)·diag(σ); V's place holds ∂R.
+    for j in range(3):
+        sigma = exponential(_plane(group, _LOG_SCALE + j))
+        v0, v1, v2 = _plane(v, j), _plane(v, 3 + j), _plane(v, 6 + j)
+        along = 0.0 * x
+        for k in range(3):
+            dm = v0 * rotation[0, k] + v1 * rotation[1, k] + v2 * rotation[2, k]
+            along = along + dm * _plane(m, 3 * k + j)
+            store(v, (3 * k + j) * LANES, dm * sigma)
+        store(out, (_LOG_SCALE + j) * LANES, along)
+    w, qx, qy, qz = (
+        _plane(group, _QUAT) * inverse_norm,
+        _plane(group, _QUAT + 1) * inverse_norm,
+        _plane(group, _QUAT + 2) * inverse_norm,
+        _plane(group, _QUAT + 3) * inverse_norm,
+    )
+    r00, r01, r02, r10, r11 = _plane(v, 0), _plane(v, 1), _plane(v, 2), _plane(v, 3), _plane(v, 4)
+    r12, r20, r21, r22 = _plane(v, 5), _plane(v, 6), _plane(v, 7), _plane(v, 8)
+    dw = 2.0 * (qz * (r10 - r01) + qy * (r02 - r20) + qx * (r21 - r12))
+    dqx = 2.0 * (qy * (r01 + r10) + qz * (r02 + r20) + w * (r21 - r12) - 2.0 * qx * (r11 + r22))
+    dqy = 2.0 * (qx * (r01 + r10) + qz * (r12 + r21) + w * (r02 - r20) - 2.0 * qy * (r00 + r22))
+    dqz = 2.0 * (qx * (r02 + r20) + qy * (r12 + r21) + w * (r10 - r01) - 2.0 * qz * (r00 + r11))
+    radial = dw * w + dqx * qx + dqy * qy + dqz * qz
+    store(out, _QUAT * LANES, (dw - radial * w) * inverse_norm)
+    store(out, (_QUAT + 1) * LANES, (dqx - radial * qx) * inverse_norm)
+    store(out, (_QUAT + 2) * LANES, (dqy - radial * qy) * inverse_norm)
+    store(out, (_QUAT + 3) * LANES, (dqz - radial * qz) * inverse_norm)
+
+
+@nb.njit(inline="always")
+def _scatter(lane, i, out, g_means, g_quats, g_log_scales, g_opacity_logits, g_offsets):
+    for k in range(3):
+        g_means[i, k] = out[(_MEAN + k) * LANES + lane]
+        g_log_scales[i, k] = out[(_LOG_SCALE + k) * LANES + lane]
+    for k in range(4):
+        g_quats[i, k] = out[(_QUAT + k) * LANES + lane]
+    g_opacity_logits[i] = out[_LOGIT * LANES + lane]
+    if len(g_offsets) > 0:
+        g_offsets[i, 0] = out[_OFFSET * LANES + lane]
+        g_offsets[i, 1] = out[(_OFFSET + 1) * LANES + lane]
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
@@ -171,9 +401,11 @@ def project_backward(
     intrinsics,
     size,
     antialiased,
-    order,
-    starts,
-    slots,
+    boxes,
+    pair_starts,
+    places,
+    used,
+    slot_starts,
     slot_grads,
     g_means,
     g_quats,
@@ -186,140 +418,57 @@ def project_backward(
     """Sum each splat's gradient over its tiles and pull it back.
 
     Args:
-        order: `[V]`, rank → Gaussian; `starts` `[V + 1]` into `slots`, which index `slot_grads` `[S, 6 + C]`.
-        g_*: outputs, zero on entry; `g_pose` `[CHUNKS, 12]` is (W, t) row by row.
+        pair_starts: `[N + 1]` into `places`, a Gaussian's places in the lists of the tiles in its box.
+        used, slot_starts: `[T]`; `slot_grads` in rows of `slot_width(6 + C)` (see `blend_backward`).
+        g_*: outputs, zero on entry; `g_offsets` `[N, 2]` or `[0, 2]`; `g_pose` `[CHUNKS, 12]` is (W, t) row by row.
     """
-    channels = slot_grads.shape[1] - G_COLORS
+    n, channels, width = len(means), g_colors.shape[1], slot_width(G_COLORS + g_colors.shape[1])
+    tiles_x = (int(size[0]) + TILE - 1) // TILE
+    nothing = np.empty((0, 2), np.float32)
     for chunk in nb.prange(CHUNKS):
-        m, v, dv = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-        g = np.empty(slot_grads.shape[1])
-        for rank in range(chunk * len(order) // CHUNKS, (chunk + 1) * len(order) // CHUNKS):
-            g[:] = 0.0
-            for j in range(starts[rank], starts[rank + 1]):
-                row = slot_grads[slots[j]]
-                for k in range(len(g)):
-                    g[k] += row[k]
-            i = order[rank]
-            for k in range(channels):
-                g_colors[i, k] = g[G_COLORS + k]
-            g_offsets[i, 0] = g[G_X]
-            g_offsets[i, 1] = g[G_Y]
-
-            mx, my, mz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
-            x = rotation[0, 0] * mx + rotation[0, 1] * my + rotation[0, 2] * mz + translation[0]
-            y = rotation[1, 0] * mx + rotation[1, 1] * my + rotation[1, 2] * mz + translation[1]
-            z = rotation[2, 0] * mx + rotation[2, 1] * my + rotation[2, 2] * mz + translation[2]
-            q, log_scale = quats[i], log_scales[i]
-            inv_norm = _camera_square_root(q, log_scale, rotation, m, v)
-            sx, sy, held_x, held_y = _clamped_slopes(x, y, z, intrinsics, size)
-            fx, fy = intrinsics[0], intrinsics[1]
-            jx, jy = fx / z, fy / z
-            a = b = c = 0.0
-            for j in range(3):
-                ux, uy = jx * (v[0, j] - sx * v[2, j]), jy * (v[1, j] - sy * v[2, j])
-                a += ux * ux
-                b += ux * uy
-                c += uy * uy
-            det_sharp = a * c - b * b
-            a_sharp, c_sharp = a, c
-            a += COVARIANCE_BLUR_PX2
-            c += COVARIANCE_BLUR_PX2
-            det = a * c - b * b
-            conic_a, conic_b, conic_c = c / det, -b / det, a / det
-
-            # dL/dΣ = −Q·G·Q with Q the conic and G its gradient, both symmetric: (h00, h01, h11).
-            ga, gb, gc = g[G_A], 0.5 * g[G_B], g[G_C]
-            p00, p01 = conic_a * ga + conic_b * gb, conic_a * gb + conic_b * gc
-            p10, p11 = conic_b * ga + conic_c * gb, conic_b * gb + conic_c * gc
-            h00 = -(p00 * conic_a + p01 * conic_b)
-            h01 = -(p00 * conic_b + p01 * conic_c)
-            h11 = -(p10 * conic_b + p11 * conic_c)
-
-            opacity = 1.0 / (1.0 + math.exp(-opacity_logits[i]))
-            g_opacity = g[G_OPACITY]
-            if antialiased:
-                ratio = det_sharp / det
-                factor = math.sqrt(max(ratio, 1e-12))
-                if ratio > 1e-12:
-                    # d ln factor = ½·(tr Σ₀⁻¹dΣ − tr Σ⁻¹dΣ)
-                    k = 0.5 * g_opacity * opacity * factor
-                    h00 += k * (c_sharp / det_sharp - conic_a)
-                    h01 += k * (-b / det_sharp - conic_b)
-                    h11 += k * (a_sharp / det_sharp - conic_c)
-                g_opacity *= factor
-            g_opacity_logits[i] = g_opacity * opacity * (1.0 - opacity)
-
-            # Σ = U·Uᵀ, U = J·V; J = [[jx, 0, −jx·sx], [0, jy, −jy·sy]].
-            dj00 = dj02 = dj11 = dj12 = 0.0
-            for j in range(3):
-                ux, uy = jx * (v[0, j] - sx * v[2, j]), jy * (v[1, j] - sy * v[2, j])
-                dux, duy = 2.0 * (h00 * ux + h01 * uy), 2.0 * (h01 * ux + h11 * uy)
-                dj00 += dux * v[0, j]
-                dj02 += dux * v[2, j]
-                dj11 += duy * v[1, j]
-                dj12 += duy * v[2, j]
-                dv[0, j] = jx * dux
-                dv[1, j] = jy * duy
-                dv[2, j] = -jx * sx * dux - jy * sy * duy
-            dx, dy = jx * g[G_X], jy * g[G_Y]
-            dz = -(jx * x * g[G_X] + jy * y * g[G_Y]) / z
-            dz += -(jx * dj00 + jy * dj11) / z
-            if held_x:
-                dz += jx * sx / z * dj02
-            else:
-                dx += -jx / z * dj02
-                dz += 2.0 * jx * sx / z * dj02
-            if held_y:
-                dz += jy * sy / z * dj12
-            else:
-                dy += -jy / z * dj12
-                dz += 2.0 * jy * sy / z * dj12
-
-            g_means[i, 0] = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-            g_means[i, 1] = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-            g_means[i, 2] = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-            pose = g_pose[chunk]
-            for r in range(3):
-                d = dx if r == 0 else (dy if r == 1 else dz)
-                pose[3 * r] += d * mx + dv[r, 0] * m[0, 0] + dv[r, 1] * m[0, 1] + dv[r, 2] * m[0, 2]
-                pose[3 * r + 1] += d * my + dv[r, 0] * m[1, 0] + dv[r, 1] * m[1, 1] + dv[r, 2] * m[1, 2]
-                pose[3 * r + 2] += d * mz + dv[r, 0] * m[2, 0] + dv[r, 1] * m[2, 1] + dv[r, 2] * m[2, 2]
-                pose[9 + r] += d
-
-            # dM = Wᵀ·dV, then M = R(q)·diag(σ); v is free to hold dR.
-            for j in range(3):
-                sigma = math.exp(log_scale[j])
-                along = 0.0
-                for k in range(3):
-                    dm = rotation[0, k] * dv[0, j] + rotation[1, k] * dv[1, j] + rotation[2, k] * dv[2, j]
-                    along += dm * m[k, j]
-                    v[k, j] = dm * sigma
-                g_log_scales[i, j] = along
-            w, qx, qy, qz = q[0] * inv_norm, q[1] * inv_norm, q[2] * inv_norm, q[3] * inv_norm
-            dw = 2 * (qz * (v[1, 0] - v[0, 1]) + qy * (v[0, 2] - v[2, 0]) + qx * (v[2, 1] - v[1, 2]))
-            dqx = 2 * (
-                qy * (v[0, 1] + v[1, 0]) + qz * (v[0, 2] + v[2, 0]) + w * (v[2, 1] - v[1, 2]) - 2 * qx * (v[1, 1] + v[2, 2])
-            )
-            dqy = 2 * (
-                qx * (v[0, 1] + v[1, 0]) + qz * (v[1, 2] + v[2, 1]) + w * (v[0, 2] - v[2, 0]) - 2 * qy * (v[0, 0] + v[2, 2])
-            )
-            dqz = 2 * (
-                qx * (v[0, 2] + v[2, 0]) + qy * (v[1, 2] + v[2, 1]) + w * (v[1, 0] - v[0, 1]) - 2 * qz * (v[0, 0] + v[1, 1])
-            )
-            radial = dw * w + dqx * qx + dqy * qy + dqz * qz
-            g_quats[i, 0] = (dw - radial * w) * inv_norm
-            g_quats[i, 1] = (dqx - radial * qx) * inv_norm
-            g_quats[i, 2] = (dqy - radial * qy) * inv_norm
-            g_quats[i, 3] = (dqz - radial * qz) * inv_norm
+        group, scratch = np.zeros(_INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
+        moments, out = np.zeros(G_COLORS * LANES, np.float32), np.empty(_INPUTS * LANES, np.float32)
+        pose, row = np.zeros(12 * LANES, np.float64), np.empty(LANES, np.float32)
+        chosen = np.empty(LANES, np.int64)
+        count, stop = 0, (chunk + 1) * n // CHUNKS
+        for i in range(chunk * n // CHUNKS, stop):
+            found = 0
+            if pair_starts[i] < pair_starts[i + 1]:
+                sums, found = _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width)
+            if found > 0:
+                store(row, 0, sums)
+                for c in range(channels):
+                    g_colors[i, c] = row[G_COLORS + c]
+                _gather(count, i, means, quats, log_scales, opacity_logits, nothing, group)
+                for k in range(G_COLORS):
+                    moments[k * LANES + count] = row[k]
+                chosen[count] = i
+                count += 1
+            if count == LANES or (i == stop - 1 and count > 0):
+                for lane in range(count, LANES):  # a lane that stands for nothing repeats the last and adds nothing
+                    _gather(lane, chosen[count - 1], means, quats, log_scales, opacity_logits, nothing, group)
+                    for k in range(G_COLORS):
+                        moments[k * LANES + lane] = F(0)
+                _pull_back_group(
+                    group, moments, rotation, translation, intrinsics, size, antialiased, scratch, out, pose
+                )
+                for lane in range(count):
+                    _scatter(lane, chosen[lane], out, g_means, g_quats, g_log_scales, g_opacity_logits, g_offsets)
+                count = 0
+        for k in range(12):
+            g_pose[chunk, k] = total(load(pose, k * LANES))
 
 
-@nb.njit(parallel=True, cache=True)
-def gather_colors(order, starts, slots, slot_grads, g_colors):
-    """The colour columns of `project_backward` alone."""
+@nb.njit(parallel=True, cache=True, error_model="numpy")
+def gather_colors(boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, g_colors):
+    """Sum each splat's colour gradients over its tiles: `slot_grads` has rows of `slot_width(C)`, `g_colors` `[N, C]` is overwritten."""
+    n, width = len(g_colors), slot_width(g_colors.shape[1])
     for chunk in nb.prange(CHUNKS):
-        for rank in range(chunk * len(order) // CHUNKS, (chunk + 1) * len(order) // CHUNKS):
-            for k in range(g_colors.shape[1]):
-                total = 0.0
-                for j in range(starts[rank], starts[rank + 1]):
-                    total += slot_grads[slots[j], G_COLORS + k]
-                g_colors[order[rank], k] = total
+        row = np.empty(LANES, np.float32)
+        for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
+            store(row, 0, lanes_of(F(0)))
+            if pair_starts[i] < pair_starts[i + 1]:
+                sums, _ = _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width)
+                store(row, 0, sums)
+            for c in range(g_colors.shape[1]):
+                g_colors[i, c] = row[c]

@@ -1,7 +1,8 @@
 """Which splats touch which 16×16 tile, in depth order.
 
-One depth sort of the splats and one counting sort into tiles in that order; no sort per tile. Both passes of the counting sort
-run over fixed blocks of ranks, so the lists come out the same for any number of threads.
+One radix sort of the depths and one counting sort into tiles in that order; no sort per tile. A splat enters the lists of all tiles
+of its bounding box: whether its ellipse reaches a tile's pixels is cheaper to ask when the tile comes to it, since most never do.
+All passes run over fixed blocks, so the lists come out the same for any number of threads.
 """
 
 from __future__ import annotations
@@ -10,87 +11,126 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.render.cpu.projection import COLORS, TILE, tile_rows, tile_span
-
 _BLOCKS = 16
+_PADDING = 16  # entries that `blend` may look ahead
+_DIGIT_BITS = 12
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def pack(splats, colors, order, packed):
-    """Gather splats and colours `[V, 8 + C]` by rank: a tile then reads memory in rising order."""
+def depth_order(depths, tiles):
+    """Visible Gaussians (`tiles` > 0) by rising depth, equals in model order: `[V]` int32.
+
+    Args:
+        depths: `[N]`, the bits of positive float32 as uint32, which rise as the numbers do.
+    """
+    n = len(depths)
+    counts, lows, highs = np.zeros(_BLOCKS + 1, np.int64), np.empty(_BLOCKS, np.uint32), np.empty(_BLOCKS, np.uint32)
+    for block in nb.prange(_BLOCKS):
+        count, low, high = 0, np.uint32(0xFFFFFFFF), np.uint32(0)
+        for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
+            if tiles[i] > 0:
+                count += 1
+                low, high = min(low, depths[i]), max(high, depths[i])
+        counts[block + 1], lows[block], highs[block] = count, low, high
+    for block in range(_BLOCKS):
+        counts[block + 1] += counts[block]
+    visible = counts[_BLOCKS]
+    order, other = np.empty(visible, np.int32), np.empty(visible, np.int32)
+    if visible == 0:
+        return order
+    low = lows.min()
+    span, bits = np.int64(highs.max()) - np.int64(low), 1
+    while span >> bits > 0:
+        bits += 1
+    passes = (bits + _DIGIT_BITS - 1) // _DIGIT_BITS
+    digit = (bits + passes - 1) // passes
+    keys, other_keys = np.empty(visible, np.uint32), np.empty(visible, np.uint32)
+    for block in nb.prange(_BLOCKS):
+        at = counts[block]
+        for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
+            if tiles[i] > 0:
+                keys[at], order[at] = depths[i] - low, i
+                at += 1
+    places = np.empty((_BLOCKS, 1 << digit), np.int64)
+    mask = np.uint32((1 << digit) - 1)
+    for p in range(passes):
+        shift = np.uint32(p * digit)
+        for block in nb.prange(_BLOCKS):
+            places[block] = 0
+            for k in range(block * visible // _BLOCKS, (block + 1) * visible // _BLOCKS):
+                places[block, (keys[k] >> shift) & mask] += 1
+        at = 0
+        for value in range(places.shape[1]):
+            for block in range(_BLOCKS):
+                count = places[block, value]
+                places[block, value] = at
+                at += count
+        for block in nb.prange(_BLOCKS):
+            for k in range(block * visible // _BLOCKS, (block + 1) * visible // _BLOCKS):
+                value = (keys[k] >> shift) & mask
+                to = places[block, value]
+                places[block, value] = to + 1
+                other_keys[to], other[to] = keys[k], order[k]
+        keys, other_keys = other_keys, keys
+        order, other = other, order
+    return order
+
+
+@nb.njit(parallel=True, cache=True, error_model="numpy")
+def _bin(order, boxes, pair_starts, tiles_x, tile_count, total):
+    counts = np.zeros((_BLOCKS, tile_count), np.int32)
     for block in nb.prange(_BLOCKS):
         for rank in range(block * len(order) // _BLOCKS, (block + 1) * len(order) // _BLOCKS):
             i = order[rank]
-            for k in range(COLORS):
-                packed[rank, k] = splats[i, k]
-            for k in range(colors.shape[1]):
-                packed[rank, COLORS + k] = colors[i, k]
-
-
-@nb.njit(parallel=True, cache=True, error_model="numpy")
-def _count(packed, width, height, tiles_x, counts):
+            for row in range(boxes[i, 1], boxes[i, 1] + boxes[i, 3]):
+                for column in range(boxes[i, 0], boxes[i, 0] + boxes[i, 2]):
+                    counts[block, row * tiles_x + column] += 1
+    tile_starts = np.empty(tile_count + 1, np.int64)
+    start = 0
+    for tile in range(tile_count):
+        tile_starts[tile] = start
+        place = 0
+        for block in range(_BLOCKS):
+            count = counts[block, tile]
+            counts[block, tile] = place
+            place += count
+        start += place
+    tile_starts[tile_count] = start
+    entries, places = np.empty(total + _PADDING, np.int32), np.empty(total, np.int32)
+    entries[total:] = 0
     for block in nb.prange(_BLOCKS):
-        for rank in range(block * len(packed) // _BLOCKS, (block + 1) * len(packed) // _BLOCKS):
-            s = packed[rank]
-            first, last = tile_rows(s, height)
-            for row in range(first, last):
-                left, right = tile_span(s, row, width, height)
-                for tile in range(row * tiles_x + left, row * tiles_x + right):
-                    counts[block, tile] += 1
-
-
-@nb.njit(cache=True)
-def _offsets(counts, tile_starts):
-    """Running sums, tile by tile and block by block; `counts` becomes where each block writes next."""
-    total = 0
-    for tile in range(counts.shape[1]):
-        tile_starts[tile] = total
-        for block in range(counts.shape[0]):
-            n = counts[block, tile]
-            counts[block, tile] = total
-            total += n
-    tile_starts[counts.shape[1]] = total
-
-
-@nb.njit(parallel=True, cache=True, error_model="numpy")
-def _scatter(packed, width, height, tiles_x, cursor, starts, ranks, slots):
-    for block in nb.prange(_BLOCKS):
-        for rank in range(block * len(packed) // _BLOCKS, (block + 1) * len(packed) // _BLOCKS):
-            s = packed[rank]
-            at = starts[rank]
-            first, last = tile_rows(s, height)
-            for row in range(first, last):
-                left, right = tile_span(s, row, width, height)
-                for tile in range(row * tiles_x + left, row * tiles_x + right):
-                    slot = cursor[block, tile]
-                    cursor[block, tile] = slot + 1
-                    ranks[slot] = rank
-                    slots[at] = slot
+        for rank in range(block * len(order) // _BLOCKS, (block + 1) * len(order) // _BLOCKS):
+            i = order[rank]
+            at = pair_starts[i]
+            for row in range(boxes[i, 1], boxes[i, 1] + boxes[i, 3]):
+                for column in range(boxes[i, 0], boxes[i, 0] + boxes[i, 2]):
+                    tile = row * tiles_x + column
+                    place = counts[block, tile]
+                    counts[block, tile] = place + 1
+                    entries[tile_starts[tile] + place] = i
+                    places[at] = place
                     at += 1
+    return tile_starts, entries, places
 
 
 def bin_splats(
-    packed: NDArray[np.float32], starts: NDArray[np.int64], width: int, height: int
+    order: NDArray[np.int32], boxes: NDArray[np.int16], pair_starts: NDArray[np.int64], tiles_x: int, tiles_y: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
     """Lists of splats per tile.
 
     Args:
-        packed: `[V, 8 + C]`, by rank.
-        starts: `[V + 1]`, running sum of the tiles each splat touches.
+        order: `[V]`, front to back.
+        boxes: `[N, 4]`, first tile column and row, columns, rows.
+        pair_starts: `[N + 1]`, running sum of the tiles in each box (none where not visible).
 
     Returns:
-        tile_starts `[T + 1]` into ranks; ranks `[S]`, rising within a tile; slots `[S]`, for each splat from `starts[rank]` on,
-        its places in `ranks`.
+        tile_starts `[T + 1]` into entries; entries `[S + padding]`, Gaussians front to back; places `[S]`, where in each of its
+        tiles' lists a Gaussian stands, tile by tile of its box from `pair_starts[i]` on.
     """
-    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
-    counts = np.zeros((_BLOCKS, tiles_x * tiles_y), np.int64)
-    _count(packed, width, height, tiles_x, counts)
-    tile_starts = np.empty(tiles_x * tiles_y + 1, np.int64)
-    _offsets(counts, tile_starts)
-    ranks = np.empty(starts[-1], np.int32)
-    slots = np.empty(starts[-1], np.int32)
-    _scatter(packed, width, height, tiles_x, counts, starts, ranks, slots)
-    return tile_starts, ranks, slots
+    lists: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]] = _bin(
+        order, boxes, pair_starts, tiles_x, tiles_x * tiles_y, int(pair_starts[-1])
+    )
+    return lists
 
 
 def balanced(tile_starts: NDArray[np.int64], threads: int) -> NDArray[np.int64]:
