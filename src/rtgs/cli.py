@@ -202,6 +202,37 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         if metres and estimate.status != "ok":
             reporter.say(f"warning: these are hardly metres: {estimate.reason}")
 
+    def import_(
+        camera: tyro.conf.Positional[Literal["flir", "dji"]],
+        photographs: Folder,
+        out: Path,
+        rgb: Path | None = None,
+        rig: Path | None = None,
+    ) -> None:
+        """Make a capture from a folder of radiometric JPEGs.
+
+        Raw counts are kept with the camera's constants, so emissivity can still be changed: in the capture's rig.json.
+
+        Args:
+            camera: whose files they are.
+            photographs: folder of radiometric JPEGs.
+            out: the capture folder, new or empty.
+            rgb: folder with visible pictures of the same names, for files that don't embed one.
+            rig: a rig.json of this pair of cameras. Without one, what the files can't say is listed and has to be filled in.
+        """
+        from rtgs.io.radiometric import import_folder
+
+        reporter = Terminal()
+        with reporter.stage(f"import {camera}") as progress:
+            result = import_folder(camera, photographs, out, rgb=rgb, rig=rig, progress=progress)
+        reporter.say(f"import: {result.frames} pairs in {out}")
+        for note in result.notes:
+            reporter.say(f"note: {note}")
+        if result.missing:
+            reporter.say(f"{out / 'rig.json'} is a start. Before `rtgs run`, fill in:")
+            for field in result.missing:
+                reporter.say(f"  {field}")
+
     def synth(out: Path, config: Annotated[SynthConfig, Flat] = _SYNTH) -> None:
         """Make a synthetic capture with known truth.
 
@@ -241,6 +272,7 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         "eval": eval_,
         "render": render,
         "export": export_,
+        "import": import_,
         "synth": synth,
         "demo": demo,
     }
