@@ -22,6 +22,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, look_at
 from rtgs.metrics import psnr
 from rtgs.models import RgbModel
+from rtgs.optim import Adam
 from rtgs.render import RenderSettings, render
 from rtgs.render.reference import rotation_from_quats
 from rtgs.scene import Capture, Frame, Rig, Scene, SparsePoints
@@ -143,7 +144,7 @@ def test_without_points_it_starts_from_random_ones() -> None:
     scene = replace(synthetic(), points=NO_POINTS)
     config = replace(QUICK, random_points=250)
     training = _Training(scene, config)
-    means = training.parameters["means"].detach().double().numpy()
+    means = training.optimizer.parameters["means"].detach().double().numpy()
     assert len(means) == 250
     in_view = np.zeros(250, bool)
     for frame in scene.train_frames:
@@ -152,7 +153,7 @@ def test_without_points_it_starts_from_random_ones() -> None:
         in_view |= (z > 0) & (u > 0) & (u < 40) & (v > 0) & (v < 40)
     assert in_view.all()
     assert held_out_psnr(scene, fit_rgb(scene, config)) > held_out_psnr(scene, fit_rgb(scene, replace(config, steps=1))) + 1.0
-    assert len(_Training(scene, replace(config, random_points=5000)).parameters["means"]) == config.densify.max_gaussians
+    assert len(_Training(scene, replace(config, random_points=5000)).gaussians()) == config.densify.max_gaussians
 
 
 def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
@@ -164,8 +165,8 @@ def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
     while training.step < config.steps:
         training.advance()
     # Gains and offsets share the work, and there are no more of them than training frames: so look at what they do to mid grey.
-    fitted = (0.4 * training.frame_parameters["gain"] + training.frame_parameters["offset"]).detach().mean(1)
-    assert training.frame_parameters["gain"].shape == (len(scene.train_frames), 3)
+    fitted = (0.4 * training.frame_optimizer.parameters["gain"] + training.frame_optimizer.parameters["offset"]).detach().mean(1)
+    assert training.frame_optimizer.parameters["gain"].shape == (len(scene.train_frames), 3)
     bright = torch.tensor([gains[f.name] > 1 for f in scene.train_frames])
     ratio = (fitted[~bright].mean() / fitted[bright].mean()).item()
     assert fitted[~bright].max() < fitted[bright].min()
@@ -178,7 +179,7 @@ def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
     off = _Training(gained, replace(config, exposure=False))
     for _ in range(5):
         off.advance()
-    assert (off.frame_parameters["gain"] == 1).all() and (off.frame_parameters["offset"] == 0).all()
+    assert (off.frame_optimizer.parameters["gain"] == 1).all() and (off.frame_optimizer.parameters["offset"] == 0).all()
 
 
 def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> None:
@@ -187,7 +188,7 @@ def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> Non
     rates = []
     for _ in range(10):
         training.advance()
-        rates.append(next(g["lr"] for g in training.optimizer.param_groups if g["name"] == "means"))
+        rates.append(training.optimizer.rates["means"])
     np.testing.assert_allclose(rates, 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
 
 
@@ -195,7 +196,7 @@ def test_the_background_starts_at_the_median_border_of_the_training_frames() -> 
     scene = synthetic()
     grays = {f.name: 0.1 * (k + 1) for k, f in enumerate(scene.train_frames)} | {f.name: 1.0 for f in scene.held_out_frames}
     flat = with_images(scene, {name: np.full((40, 40, 3), gray, np.float32) for name, gray in grays.items()})
-    background = _Training(flat, QUICK).frame_parameters["background"]
+    background = _Training(flat, QUICK).frame_optimizer.parameters["background"]
     torch.testing.assert_close(background.detach(), torch.full((3,), 0.45))  # of 0.1, 0.2, …, 0.8
 
 
@@ -219,6 +220,17 @@ def test_coarse_levels_come_first_and_stop_at_48_pixels() -> None:
     assert factors == [4, 4, 2, 2, 1, 1]
     small = training.image(scene.frames[1], 4)
     np.testing.assert_allclose(small, scene.frames[1].rgb.reshape(10, 4, 10, 4, 3).mean((1, 3)), atol=1e-6)
+
+
+def test_bands_join_in_turn_over_the_first_half() -> None:
+    training = _Training(synthetic(), replace(QUICK, steps=24, sh_degree=2))
+    bands = []
+    while training.step < 24:
+        training.advance()
+        bands.append(training.gaussians().sh_degree)
+        assert training.model().gaussians.sh.shape[1:] == (9, 3)  # a model is always whole
+    assert bands == [0] * 4 + [1] * 4 + [2] * 16
+    assert training.gaussians().sh[:, 4:].detach().abs().max() > 0
 
 
 # --- checkpoints -----------------------------------------------------------------------------------
@@ -264,34 +276,33 @@ def test_nothing_to_train_on_is_said() -> None:
 # --- densification ---------------------------------------------------------------------------------
 
 
-def trained_parameters() -> tuple[dict[str, torch.nn.Parameter], torch.optim.Optimizer]:
+def trained() -> Adam:
     """Eight Gaussians after one step of Adam: 5 is faint, 6 larger than the scene, 7 not finite, 2 larger than a hundredth."""
     g = torch.Generator().manual_seed(0)
     parameters = {
-        "means": torch.nn.Parameter(torch.randn(8, 3, generator=g)),
-        "quats": torch.nn.Parameter(torch.randn(8, 4, generator=g)),
-        "log_scales": torch.nn.Parameter(torch.full((8, 3), math.log(0.001))),
-        "opacity_logits": torch.nn.Parameter(torch.zeros(8)),
-        "sh_dc": torch.nn.Parameter(torch.randn(8, 1, 3, generator=g)),
+        "means": torch.randn(8, 3, generator=g),
+        "quats": torch.randn(8, 4, generator=g),
+        "log_scales": torch.full((8, 3), math.log(0.001)),
+        "opacity_logits": torch.zeros(8),
+        "sh": torch.randn(8, 1, 3, generator=g),
     }
-    optimizer = torch.optim.Adam([{"params": [v], "name": k} for k, v in parameters.items()], lr=1e-3)
-    sum((v * torch.randn(v.shape, generator=g)).sum() for v in parameters.values()).backward()
+    optimizer = Adam(parameters, dict.fromkeys(parameters, 1e-3))
+    sum((v * torch.randn(v.shape, generator=g)).sum() for v in optimizer.parameters.values()).backward()
     optimizer.step()
     with torch.no_grad():
-        parameters["log_scales"][2] = torch.tensor([0.1, 0.02, 0.001]).log()
-        parameters["opacity_logits"][5] = -8.0
-        parameters["log_scales"][6] = math.log(1.5)
-        parameters["means"][7, 1] = float("nan")
-    return parameters, optimizer
+        optimizer.parameters["log_scales"][2] = torch.tensor([0.1, 0.02, 0.001]).log()
+        optimizer.parameters["opacity_logits"][5] = -8.0
+        optimizer.parameters["log_scales"][6] = math.log(1.5)
+        optimizer.parameters["means"][7, 1] = float("nan")
+    return optimizer
 
 
-def grow(target: int, wanted: list[float], seed: int = 0) -> tuple[dict[str, torch.nn.Parameter], torch.optim.Optimizer, int]:
-    parameters, optimizer = trained_parameters()
+def grow(target: int, wanted: list[float], seed: int = 0) -> tuple[Adam, int]:
+    optimizer = trained()
     gradients = ScreenGradients(8)
     gradients.total = torch.tensor(wanted)
     gradients.count = torch.ones(8)
     n = densify(
-        parameters,
         optimizer,
         gradients,
         DensifyConfig(),
@@ -300,7 +311,7 @@ def grow(target: int, wanted: list[float], seed: int = 0) -> tuple[dict[str, tor
         generator=torch.Generator().manual_seed(seed),
         rotation_from_quats=rotation_from_quats,
     )
-    return parameters, optimizer, n
+    return optimizer, n
 
 
 WANTED = [1.0, 5.0, 4.0, 0.0, 2.0, 9.0, 9.0, 9.0]
@@ -318,10 +329,11 @@ WANTED = [1.0, 5.0, 4.0, 0.0, 2.0, 9.0, 9.0, 9.0]
     ],
 )
 def test_a_round_prunes_clones_and_splits(target: int, sources: list[int]) -> None:
-    before, _ = trained_parameters()
-    parameters, _, n = grow(target, WANTED)
+    before = trained().parameters
+    optimizer, n = grow(target, WANTED)
+    parameters = optimizer.parameters
     assert n == len(sources) and all(len(v) == n for v in parameters.values())
-    for name in ("quats", "opacity_logits", "sh_dc"):
+    for name in ("quats", "opacity_logits", "sh"):
         assert torch.equal(parameters[name], before[name][sources]), name
     whole = torch.tensor([s != 2 or 2 not in sources[-2:] for s in sources])
     index = torch.tensor(sources)
@@ -335,29 +347,27 @@ def test_a_round_prunes_clones_and_splits(target: int, sources: list[int]) -> No
 
 def test_halves_are_samples_of_their_parent() -> None:
     # In the parent's own axes and sizes the offsets are standard normal.
-    before, _ = trained_parameters()
+    before = trained().parameters
     rotation = rotation_from_quats(before["quats"][2:3])[0]
-    offsets = torch.stack([grow(7, WANTED, seed)[0]["means"].detach()[-2:] - before["means"][2] for seed in range(150)]).reshape(
-        -1, 3
-    )
+    offsets = torch.stack(
+        [grow(7, WANTED, seed)[0].parameters["means"][-2:] - before["means"][2] for seed in range(150)]
+    ).reshape(-1, 3)
     standard = (offsets @ rotation) / before["log_scales"][2].exp()
     assert standard.mean(0).abs().max() < 0.25  # 300 samples: four standard errors
     assert (standard.std(0) - 1).abs().max() < 0.17
 
 
 def test_moments_are_carried_over_and_those_of_new_gaussians_are_zero() -> None:
-    before, old = trained_parameters()
-    parameters, optimizer, _ = grow(7, WANTED)
-    assert [g["params"][0] is parameters[g["name"]] for g in optimizer.param_groups] == [True] * 5
-    assert len(optimizer.state) == 5
-    for name, parameter in parameters.items():
-        for moment in ("exp_avg", "exp_avg_sq"):
-            value = optimizer.state[parameter][moment]
-            assert torch.equal(value[:4], old.state[before[name]][moment][[0, 1, 3, 4]])
-            assert value.shape == parameter.shape and not value[4:].any()
-        assert optimizer.state[parameter]["step"] == 1
-    sum(v.sum() for v in parameters.values()).backward()
+    old, (optimizer, _) = trained(), grow(7, WANTED)
+    assert optimizer.steps == 1
+    for name, parameter in optimizer.parameters.items():
+        for moments, before in ((optimizer.first, old.first), (optimizer.second, old.second)):
+            assert before[name].any() and torch.equal(moments[name][:4], before[name][[0, 1, 3, 4]])
+            assert moments[name].shape == parameter.shape and not moments[name][4:].any()
+    was = {name: parameter.detach().clone() for name, parameter in optimizer.parameters.items()}
+    sum(v.sum() for v in optimizer.parameters.values()).backward()
     optimizer.step()  # the optimiser works on what is there now
+    assert not any(torch.equal(parameter, was[name]) for name, parameter in optimizer.parameters.items())
 
 
 def test_screen_gradients_are_the_mean_over_visible_views() -> None:

@@ -13,11 +13,11 @@ SOURCE = Path(__file__).parents[1] / "src" / "rtgs"
 TIERS: dict[str, float] = {
     **dict.fromkeys(["errors", "progress"], 0),
     **dict.fromkeys(["config"], 0.5),
-    **dict.fromkeys(["geometry", "image", "sh"], 1),
+    **dict.fromkeys(["geometry", "image", "sh", "optim"], 1),
     **dict.fromkeys(["camera", "gaussians"], 2),
     **dict.fromkeys(["scene", "radiometry"], 3),
     **dict.fromkeys(["io", "render", "losses", "ssim", "metrics", "densify", "synthetic", "pictures"], 4),
-    **dict.fromkeys(["models"], 4.5),
+    **dict.fromkeys(["models", "photometric"], 4.5),
     **dict.fromkeys(["sfm", "fit_rgb", "scale", "fit_thermal"], 5),
     **dict.fromkeys(["baselines", "evaluate"], 6),
     **dict.fromkeys(["pipeline"], 7.0),

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from rtgs.config import DensifyConfig
-
-Parameters = dict[str, torch.nn.Parameter]
+from rtgs.optim import Adam
 
 
 def budget(config: DensifyConfig, pixels: int, points: int) -> int:
@@ -54,8 +53,7 @@ def is_round(config: DensifyConfig, step: int, steps: int) -> bool:
 
 
 def densify(
-    parameters: Parameters,
-    optimizer: torch.optim.Optimizer,
+    optimizer: Adam,
     gradients: ScreenGradients,
     config: DensifyConfig,
     *,
@@ -64,16 +62,17 @@ def densify(
     generator: torch.Generator,
     rotation_from_quats: Callable[[Tensor], Tensor],
 ) -> int:
-    """One round: prune the faint, multiply the most wanted. Parameters and optimiser state are replaced in place.
+    """One round: prune the faint, multiply the most wanted. Parameters and moments are replaced.
 
     Args:
-        parameters: means, quats, log_scales, opacity_logits and any number of per-Gaussian others, `[N, ...]` each.
+        optimizer: of means, quats, log_scales, opacity_logits and any number of per-Gaussian others, `[N, ...]` each.
         target: how many Gaussians there should be afterwards, if enough of them have a gradient.
         extent: the scene's extent, world units.
 
     Returns:
         The new N.
     """
+    parameters = optimizer.parameters
     with torch.no_grad():
         faint = torch.sigmoid(parameters["opacity_logits"]) < config.prune_opacity
         # Larger than the whole scene: it hides what is behind it from every camera.
@@ -91,33 +90,21 @@ def densify(
         n_children = 2 * len(split)
         fresh = torch.zeros(len(sources), dtype=torch.bool)
         fresh[int(keep.sum()) :] = True
-        new = {name: value.detach()[sources].clone() for name, value in parameters.items()}
+        new = {name: value.detach()[sources] for name, value in parameters.items()}
         if n_children:
             scales = new["log_scales"][-n_children:].exp()
             noise = torch.randn(n_children, 3, generator=generator) * scales
             rotations = rotation_from_quats(new["quats"][-n_children:])
             new["means"][-n_children:] += (rotations @ noise[..., None])[..., 0]
             new["log_scales"][-n_children:] -= torch.log(torch.tensor(1.6))
-        replace(parameters, optimizer, new, sources, fresh)
+        replace(optimizer, new, sources, fresh)
     return len(sources)
 
 
-def replace(
-    parameters: Parameters, optimizer: torch.optim.Optimizer, new: dict[str, Tensor], sources: Tensor, fresh: Tensor
-) -> None:
+def replace(optimizer: Adam, new: dict[str, Tensor], sources: Tensor, fresh: Tensor) -> None:
     """Swap each parameter for `new[name]`, carrying Adam's moments over by `sources` `[M]` and zeroing those of `fresh` `[M]`."""
-    for group in optimizer.param_groups:
-        name = group["name"]
-        if name not in new:
-            continue
-        old = parameters[name]
-        state = optimizer.state.pop(old, {})
-        parameter = torch.nn.Parameter(new[name])
-        for moment in ("exp_avg", "exp_avg_sq"):
-            if moment in state:
-                carried = state[moment][sources].clone()
-                carried[fresh] = 0
-                state[moment] = carried
-        group["params"] = [parameter]
-        optimizer.state[parameter] = state
-        parameters[name] = parameter
+    for name, value in new.items():
+        moments = [moment[name][sources] for moment in (optimizer.first, optimizer.second)]
+        for moment in moments:
+            moment[fresh] = 0
+        optimizer.replace(name, value, *moments)

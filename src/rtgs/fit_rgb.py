@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +15,19 @@ from torch import Tensor
 
 from rtgs import sh
 from rtgs.config import RgbConfig
-from rtgs.densify import Parameters, ScreenGradients, budget, densify, is_round, target_count
+from rtgs.densify import ScreenGradients, budget, densify, is_round, target_count
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.io.ply import read_ply
 from rtgs.metrics import psnr
 from rtgs.models import RgbModel
+from rtgs.optim import Adam
+from rtgs.photometric import photometric
 from rtgs.progress import Progress
 from rtgs.render import RenderSettings, render
 from rtgs.render.reference import rotation_from_quats
 from rtgs.scene import Frame, Scene
-from rtgs.ssim import ssim, whole_windows
+from rtgs.ssim import whole_windows
 
 NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
 
@@ -140,32 +143,17 @@ class _Training:
                 xyz, rgb = xyz[chosen], rgb[chosen]
         else:
             xyz, rgb = _random_points(scene, min(config.random_points, self.budget), config.seed)
-        start = initial_gaussians(xyz, rgb, config.sh_degree)
+        start = initial_gaussians(xyz, rgb, 0)  # bands join as they are switched on
         self.initial = len(start)
-        tensors = start.tensors()
-        tensors["sh_dc"], tensors["sh_rest"] = start.sh[:, :1].clone(), start.sh[:, 1:].clone()
-        del tensors["sh"]
-        self.parameters: Parameters = {k: torch.nn.Parameter(v.contiguous()) for k, v in tensors.items()}
-        self.frame_parameters: Parameters = {
-            "background": torch.nn.Parameter(self._initial_background()),
-            "gain": torch.nn.Parameter(torch.ones(len(scene.train_frames), 3)),
-            "offset": torch.nn.Parameter(torch.zeros(len(scene.train_frames), 3)),
+        self.optimizer = Adam(start.tensors(), self._rates(0))
+        frame_parameters = {
+            "background": self._initial_background(),
+            "gain": torch.ones(len(scene.train_frames), 3),
+            "offset": torch.zeros(len(scene.train_frames), 3),
         }
-        rates = {
-            "means": 1.6e-4 * scene.extent,
-            "quats": 1e-3,
-            "log_scales": 5e-3,
-            "opacity_logits": 5e-2,
-            "sh_dc": 2.5e-3,
-            "sh_rest": 2.5e-3 / 20,
-            "background": 2e-3 if config.background == "learned" else 0.0,
-            "gain": 1e-3 if config.exposure else 0.0,
-            "offset": 1e-3 if config.exposure else 0.0,
-        }
-        everything = self.parameters | self.frame_parameters
-        self.optimizer = torch.optim.Adam(
-            [{"params": [everything[k]], "lr": lr, "name": k} for k, lr in rates.items()], eps=1e-15, fused=True
-        )
+        exposure = 1e-3 if config.exposure else 0.0
+        background = 2e-3 if config.background == "learned" else 0.0
+        self.frame_optimizer = Adam(frame_parameters, {"background": background, "gain": exposure, "offset": exposure})
         self.gradients = ScreenGradients(self.initial)
         self.order: list[int] = []
         self.history: dict[str, list[float]] = {"step": [], "gaussians": [], "held_out_psnr": []}
@@ -212,10 +200,25 @@ class _Training:
         return self._masks[factor]
 
     def gaussians(self) -> Gaussians:
-        p = self.parameters
-        return Gaussians(
-            p["means"], p["quats"], p["log_scales"], p["opacity_logits"], torch.cat([p["sh_dc"], p["sh_rest"]], dim=1)
-        )
+        """The model as it stands, with the bands that are switched on."""
+        return Gaussians(**self.optimizer.parameters)
+
+    def _rates(self, band: int) -> dict[str, float | Tensor]:
+        """Learning rates of this step."""
+        # Positions settle: their rate falls a hundredfold along an exponential.
+        means = 1.6e-4 * self.scene.extent * 0.01 ** (self.step / self.config.steps)
+        harmonics = torch.full((sh.coefficients(band), 1), 2.5e-3 / 20)
+        harmonics[0] = 2.5e-3
+        return {"means": means, "quats": 1e-3, "log_scales": 5e-3, "opacity_logits": 5e-2, "sh": harmonics}
+
+    def _switch_on(self, band: int) -> None:
+        """Add the coefficients, zero, of the bands up to this one, where they are missing."""
+        optimizer = self.optimizer
+        k = optimizer.parameters["sh"].shape[1]
+        missing = sh.coefficients(band) - k
+        if missing > 0:
+            tensors = (optimizer.parameters["sh"], optimizer.first["sh"], optimizer.second["sh"])
+            optimizer.replace("sh", *(torch.nn.functional.pad(t.detach(), (0, 0, 0, missing)) for t in tensors))
 
     def advance(self) -> None:
         """One step on one training frame."""
@@ -228,38 +231,34 @@ class _Training:
         target, masks = self.image(frame, factor), self.mask(factor)
         camera = scene.rig.rgb.resized(target.shape[1], target.shape[0])
 
-        progress = self.step / config.steps
-        band = min(config.sh_degree, int(progress * 2 * (config.sh_degree + 1)))
-        p = self.parameters
-        coefficients = torch.cat([p["sh_dc"], p["sh_rest"][:, : sh.coefficients(band) - 1]], dim=1)
-        gaussians = Gaussians(p["means"], p["quats"], p["log_scales"], p["opacity_logits"], coefficients)
+        band = min(config.sh_degree, int(self.step / config.steps * 2 * (config.sh_degree + 1)))
+        self._switch_on(band)
+        self.optimizer.rates = self._rates(band)
+        gaussians, per_frame = self.gaussians(), self.frame_optimizer.parameters
         growing = self.step <= config.densify.stop * config.steps
         offsets = torch.zeros(len(gaussians), 2, requires_grad=growing)
         view = render(gaussians, camera, scene.rgb_from_world(frame.name), settings=self.settings, pixel_offsets=offsets)
-        image = view.over(self.frame_parameters["background"])
-        if config.exposure:
-            image = image * self.frame_parameters["gain"][k] + self.frame_parameters["offset"][k]
-        if masks is None:
-            windows = None
-            l1 = (image - target).abs().mean()
-        else:
-            pixels, windows = masks
-            l1 = ((image - target).abs() * pixels[..., None]).sum() / (3 * pixels.sum())
-        loss = l1 + config.ssim_weight * (1.0 - ssim(image, target, mask=windows))
-        self.optimizer.zero_grad(set_to_none=True)
+        pixels, windows = masks or (None, None)
+        loss = photometric(
+            view.color,
+            view.alpha,
+            per_frame["background"],
+            per_frame["gain"][k],
+            per_frame["offset"][k],
+            target,
+            ssim_weight=config.ssim_weight,
+            pixels=pixels,
+            windows=windows,
+            parity=self.step % 2,
+        )
         loss.backward()
-
-        # Positions settle: their rate falls a hundredfold along an exponential.
-        for group in self.optimizer.param_groups:
-            if group["name"] == "means":
-                group["lr"] = 1.6e-4 * scene.extent * 0.01**progress
         self.optimizer.step()
+        self.frame_optimizer.step()
         self.step += 1
         if offsets.grad is not None:
             self.gradients.add(offsets.grad, view.visible, camera.width, camera.height)
         if is_round(config.densify, self.step, config.steps):
             n = densify(
-                self.parameters,
                 self.optimizer,
                 self.gradients,
                 config.densify,
@@ -273,7 +272,7 @@ class _Training:
     def record(self) -> None:
         """Score the held-out frames: shown, never used."""
         self.history["step"].append(self.step)
-        self.history["gaussians"].append(len(self.parameters["means"]))
+        self.history["gaussians"].append(len(self.gaussians()))
         model = self.model()
         scores = []
         for frame in self.scene.held_out_frames:
@@ -284,15 +283,15 @@ class _Training:
 
     def summary(self) -> str:
         held_out = self.history["held_out_psnr"]
-        text = f"{len(self.parameters['means']):,} Gaussians"
+        text = f"{len(self.gaussians()):,} Gaussians"
         return text + (f", held-out {held_out[-1]:.2f} dB" if held_out else "")
 
     def model(self) -> RgbModel:
-        background = self.frame_parameters["background"].detach().clamp(0, 1).clone()
-        return RgbModel(self.gaussians().detach(), background, self.settings, {k: list(v) for k, v in self.history.items()})
-
-    def _tensors(self) -> Parameters:
-        return self.parameters | self.frame_parameters
+        background = self.frame_optimizer.parameters["background"].detach().clamp(0, 1).clone()
+        gaussians = self.gaussians().detach()
+        missing = sh.coefficients(self.config.sh_degree) - gaussians.sh.shape[1]
+        gaussians = replace(gaussians, sh=torch.nn.functional.pad(gaussians.sh, (0, 0, 0, missing)))
+        return RgbModel(gaussians, background, self.settings, {k: list(v) for k, v in self.history.items()})
 
     def save(self, path: Path) -> None:
         state: dict[str, Any] = {
@@ -301,8 +300,8 @@ class _Training:
             "generator": self.generator.get_state(),
             "order": self.order,
             "history": self.history,
-            "parameters": {k: v.detach() for k, v in self._tensors().items()},
-            "moments": {k: self.optimizer.state.get(v, {}) for k, v in self._tensors().items()},
+            "gaussians": self.optimizer.state(),
+            "frames": self.frame_optimizer.state(),
             "gradients": (self.gradients.total, self.gradients.count),
         }
         temporary = path.with_suffix(".tmp")
@@ -318,13 +317,7 @@ class _Training:
             raise RtgsError(f"{path}: belongs to other training settings; remove it to start over.")
         self.step, self.order, self.history = state["step"], state["order"], state["history"]
         self.generator.set_state(state["generator"])
-        for group in self.optimizer.param_groups:
-            name = group["name"]
-            owner = self.parameters if name in self.parameters else self.frame_parameters
-            self.optimizer.state.pop(owner[name], None)
-            owner[name] = torch.nn.Parameter(state["parameters"][name])
-            group["params"] = [owner[name]]
-            if state["moments"][name]:
-                self.optimizer.state[owner[name]] = state["moments"][name]
+        self.optimizer.restore(state["gaussians"])
+        self.frame_optimizer.restore(state["frames"])
         self.gradients = ScreenGradients(0)
         self.gradients.total, self.gradients.count = state["gradients"]
