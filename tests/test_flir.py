@@ -84,6 +84,25 @@ def test_other_parameters_change_temperatures_as_flyr_has_it(name: str, changes:
 
 
 @needs_samples
+@pytest.mark.parametrize(
+    ("name", "difference_c"), [("FLIR.jpg", 0.09), ("FLIR_AX8.jpg", 0.01), ("FLIR_E40.jpg", 0.03), ("FLIR_T640.jpg", 0.15)]
+)
+def test_where_the_window_stands_matters_little(name: str, difference_c: float) -> None:
+    """All the air on one side of the window, as in the formula of FLIR's manuals, instead of half on each: the largest change of any pixel.
+
+    One leg of twice the half distance, with its transmission spread evenly over both legs, is that other formula here: of these
+    files only the E40's has a window, and it is near the air's temperature.
+    """
+    image = read_flir(SAMPLES / name)
+    p, atmosphere = image.radiometry.parameters, image.radiometry.calibration.atmosphere
+    one_leg = replace(image.radiometry)
+    whole = atmosphere.transmission(p.distance_m, p.atmospheric_c, p.relative_humidity)
+    one_leg.__dict__["_leg_transmission"] = np.sqrt(whole)
+    difference = np.abs(one_leg.celsius(image.counts) - image.temperature_c).max()
+    assert difference == pytest.approx(difference_c, abs=0.005)
+
+
+@needs_samples
 def test_the_xt2_whose_directory_flyr_does_not_read() -> None:
     """Its FFF directory has two entries, and flyr 5.1 passes over the last two. flyr's formula, given our counts, is the yardstick."""
     image = read_flir(SAMPLES / "DJI_XT2.jpg")

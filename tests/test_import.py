@@ -124,6 +124,7 @@ def test_visible_pictures_keep_their_pixels_and_gain_gps_and_time(photographs: P
     import_folder("flir", photographs, tmp_path / "out")
     path = tmp_path / "out" / "rgb" / f"{NAMES[0]}.jpg"
     np.testing.assert_array_equal(read_rgb(path), decoded(file))
+    assert path.read_bytes().count(b"Exif\0\0") == 1  # the inner one went
     exif = Image.open(path).getexif()
     assert (exif[271], exif[272], exif[306]) == ("FLIR Systems AB", "FLIR T0", "2024:05:06 07:08:09")
     gps = exif.get_ifd(0x8825)

@@ -145,8 +145,8 @@ class PlanckRadiometry:
             + (1 − τ₁) w τ₂ · U(T_air) + (1 − w) τ₂ · U(T_window) + (1 − τ₂) · U(T_air)
 
     S is the stored count, U the `calibration`, w the window's transmission and τ₁ = τ₂ the air's over half the distance: the window
-    stands midway, as in Thermimage (Tattersall, 2017) and in flyr. S is affine in the object's radiance, so signals may be
-    averaged and composited where temperatures may not.
+    stands midway, as in Thermimage (Tattersall, 2017) and in flyr; FLIR's manuals have one τ for the whole way. S is affine in the
+    object's radiance, so signals may be averaged and composited where temperatures may not.
 
     Raises:
         RtgsError: air so long, hot and humid that FLIR's formula for its transmission leaves 0 … 1.

@@ -1,8 +1,8 @@
 """DJI's radiometric JPEG (R-JPEG).
 
 Cameras around a FLIR core (Zenmuse XT, XT2) write FLIR's thermal data and are read as such. The others (H20T, M30T, Mavic 3T …)
-store counts whose calibration DJI keeps in the closed binaries of its Thermal SDK; published shortcuts such as (count >> 2) / 16 − 273.15
-miss by several degrees. For those the temperatures come from a TIFF that a program built on the SDK has written.
+store counts whose calibration DJI keeps in the closed binaries of its Thermal SDK, and no published formula agrees with its results.
+For those the temperatures come from a TIFF that a program built on the SDK has written.
 """
 
 from __future__ import annotations
