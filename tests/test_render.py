@@ -679,13 +679,13 @@ def test_bands_the_model_does_not_have_are_refused() -> None:
         render(cloud(3, 1), pinhole(20, 20), POSE, settings=RenderSettings(sh_degree=2))
 
 
-def test_up_to_seven_channels_are_drawn_and_more_refused() -> None:
-    assert_backends_agree(cloud(40, 1, 7), pinhole(37, 21), RenderSettings())
+def test_up_to_eight_channels_are_drawn_and_more_refused() -> None:
+    assert_backends_agree(cloud(40, 1, 8), pinhole(37, 21), RenderSettings())
     assert_backends_agree(cloud(40, 1, 2), pinhole(37, 21), RenderSettings())
-    with pytest.raises(RtgsError, match=r"8 channels.*7"):
-        render(cloud(3, 1, 8), pinhole(20, 20), POSE)
-    with pytest.raises(RtgsError, match=r"8 channels.*7"):
-        render(cloud(3, 1, 7), pinhole(20, 20), POSE, settings=RenderSettings(with_depth=True))
+    with pytest.raises(RtgsError, match=r"9 channels.*8"):
+        render(cloud(3, 1, 9), pinhole(20, 20), POSE)
+    with pytest.raises(RtgsError, match=r"9 channels.*8"):
+        render(cloud(3, 1, 8), pinhole(20, 20), POSE, settings=RenderSettings(with_depth=True))
     assert draw(cloud(3, 1, 6), pinhole(20, 20), POSE, "reference").color.shape == (20, 20, 6)
 
 

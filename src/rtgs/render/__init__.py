@@ -39,7 +39,7 @@ def render(
 
     Raises:
         RtgsError: the camera has a lens; the settings ask for SH bands or weigh channels that the model does not have; "cpu" is given
-            more than seven channels, depth included.
+            more than eight channels, depth included.
     """
     settings = settings or RenderSettings()
     if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):

@@ -20,8 +20,7 @@ from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
 from rtgs.render.cpu import projection, sh, tiles
 from rtgs.render.cpu.blend import blend, blend_adjoint, blend_backward
-from rtgs.render.cpu.layout import CHUNKS, G_COLORS, MAX_CHANNELS, SPLAT, TILE
-
+from rtgs.render.cpu.layout import CHUNKS, G_COLORS, MAX_CHANNELS, SPLAT, tile_side
 from rtgs.render.cpu.simd import LANES
 
 
@@ -138,15 +137,15 @@ class _Rasterize(torch.autograd.Function):
         n, channels = len(model[0]), image.shape[2]
         slot_starts, slots = splats.slots(used)
         slot_grads = _rows_of_slots(slots, G_COLORS + channels)
+        images = (image, alpha[..., None])
         g_images = (_f32(g_image), _f32(g_alpha)[..., None])
-        splats_of_tiles = (splats.tile_order, splats.tile_starts, splats.entries, splats.rows)
-        blend_backward(*splats_of_tiles, (0,) * channels, image, alpha, used, *g_images, slot_starts, slot_grads)
+        blend_backward(*splats.lists, (0,) * channels, *images, used, *g_images, slot_starts, slot_grads)
         g_model = [np.zeros_like(array) for array in model]
         g_colors = np.zeros((n, channels), np.float32)
         g_offsets = np.zeros((n if needs[5] else 0, 2), np.float32)
         g_pose = np.zeros((CHUNKS, 12))
-        view = splats.view
-        arguments: list[Any] = [*model, *pose, *view, antialiased, splats.boxes, splats.pair_starts, splats.places, used]
+        arguments: list[Any] = [*model, *pose, *splats.view, splats.side, antialiased]
+        arguments += [splats.boxes, splats.pair_starts, splats.places, used]
         projection.project_backward(*arguments, slot_starts, slot_grads, *g_model, g_offsets, g_colors, g_pose)
         g_pose_sum = torch.from_numpy(g_pose.sum(0)).to(torch.float32)
         return (
@@ -162,7 +161,10 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _rows_of_slots(rows: int, numbers: int) -> NDArray[np.float32]:
-    return np.empty(rows * projection.slot_width(numbers) + LANES, np.float32)  # the last row is read a register at a time
+    width = projection.slot_width(numbers)
+    slots = np.empty(rows * width + LANES, np.float32)  # the last row is read a register at a time
+    slots[: max(width, LANES)] = 0.0
+    return slots
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +177,7 @@ class Splats:
         tile_starts: `[T + 1]` into entries; entries: `[S + padding]`; places: `[S]` (see `tiles.bin_splats`).
         tile_order: `[T]`, balanced over the threads.
         view: intrinsics `[4]` and image size `[2]`, float64.
+        side: of a tile, pixels.
         channels: C.
     """
 
@@ -187,6 +190,7 @@ class Splats:
     places: NDArray[np.int32]
     tile_order: NDArray[np.int64]
     view: tuple[NDArray[np.float64], NDArray[np.float64]]
+    side: int
     channels: int
 
     @staticmethod
@@ -199,34 +203,39 @@ class Splats:
         near_plane: float,
         antialiased: bool,
     ) -> Splats:
-        n = len(colors)
+        n, side = len(colors), tile_side(camera.width, camera.height)
         view = (np.array([camera.fl_x, camera.fl_y, camera.cx, camera.cy]), np.array([camera.width, camera.height], np.float64))
         rows, depths = np.empty(n * SPLAT, np.float32), np.empty(n, np.float32)
         counts, boxes = np.empty(n, np.int32), np.empty((n, 4), np.int16)
-        arguments: list[Any] = [*model, offsets, colors, *pose, *view, float(near_plane), antialiased]
+        arguments: list[Any] = [*model, offsets, colors, *pose, *view, side, float(near_plane), antialiased]
         projection.project(*arguments, rows, depths, boxes, counts)
         order = tiles.depth_order(depths.view(np.uint32), counts)
         pair_starts = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
-        columns, lines = -(-camera.width // TILE), -(-camera.height // TILE)
+        columns, lines = -(-camera.width // side), -(-camera.height // side)
         tile_starts, entries, places = tiles.bin_splats(order, boxes, pair_starts, columns, lines)
         tile_order = tiles.balanced(tile_starts, nb.get_num_threads())
-        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, tile_order, view, colors.shape[1])
+        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, tile_order, view, side, colors.shape[1])
 
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width."""
         return int(self.view[1][1]), int(self.view[1][0])
 
+    @property
+    def lists(self) -> tuple[Any, ...]:
+        """What every blending kernel begins with."""
+        return self.tile_order, self.tile_starts, self.entries, self.rows, self.side
+
     def blend(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
         """Image `[H, W, C]`, alpha `[H, W]`, and how many of its entries each tile needed `[T]`."""
         image, alpha = np.empty((*self.shape, self.channels), np.float32), np.empty(self.shape, np.float32)
         used = np.empty(len(self.tile_order), np.int64)
-        blend(self.tile_order, self.tile_starts, self.entries, self.rows, (0,) * self.channels, image, alpha, used)
+        blend(*self.lists, (0,) * self.channels, image, alpha, used)
         return image, alpha, used
 
     def slots(self, used: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-        """Where each tile's used entries begin when only those are kept, and how many there are."""
-        ends = np.cumsum(used)
+        """Where each tile's used entries begin when only those are kept, and how many rows that makes; row 0 stays free."""
+        ends = np.cumsum(used) + 1
         return ends - used, int(ends[-1])
 
     def adjoint(self, g_image: NDArray[np.float32], used: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -234,11 +243,8 @@ class Splats:
         channels = g_image.shape[2]
         slot_starts, slots = self.slots(used)
         slot_grads = _rows_of_slots(slots, channels)
-        lists = (self.tile_order, self.tile_starts, self.entries, self.rows)
-        blend_adjoint(*lists, (0,) * channels, used, g_image, slot_starts, slot_grads)
+        blend_adjoint(*self.lists, (0,) * channels, used, g_image, slot_starts, slot_grads)
         g_colors = np.empty((len(self.tiles), channels), np.float32)
-        columns = -(-self.shape[1] // TILE)
-        projection.gather_colors(
-            self.boxes, self.pair_starts, self.places, used, slot_starts, columns, slot_grads, g_colors
-        )
+        columns = -(-self.shape[1] // self.side)
+        projection.gather_colors(self.boxes, self.pair_starts, self.places, used, slot_starts, columns, slot_grads, g_colors)
         return g_colors

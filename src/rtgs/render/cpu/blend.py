@@ -1,11 +1,13 @@
-"""Composite splats front to back within 16×16 tiles, forwards, backwards and sideways. One loop iteration is one tile.
+"""Composite splats front to back, forwards, backwards and sideways. One loop iteration is one tile.
 
-A tile's state lives in a few kilobytes that stay in L1, and a row of it is one register (`simd.Lanes`). For each splat one register
-holds all sixteen rows and tells which of them it reaches; only those are visited, and none whose pixels are all finished. The
-reverse kernels also run front to back: what remains of the pixel's colour is a running difference, so no per-pixel lists are kept.
+A tile (`layout.tile_side`) has one list of splats, front to back. They come in batches that fit the first-level cache; within a batch
+each 16×16 patch of the tile takes the splats whose box it meets, sixteen boxes a comparison. A row of a patch is one register
+(`simd.Lanes`). For a splat and a patch one register holds the sixteen rows and tells which of them the ellipse reaches; only those are
+visited, and none whose pixels are all finished. The reverse kernels also run front to back: what remains of the pixel's colour is a
+running difference, so no per-pixel lists are kept. Their sums over a tile are complete before they touch memory.
 
-A finished pixel (Eq. of 3DGS: the next splat would leave less than 1e-4 of the light) keeps its transmittance with a minus sign: it
-then fails the same comparison for ever after.
+A finished pixel (the next splat would leave less than 1e-4 of the light) keeps its transmittance with a minus sign: it then fails
+the same comparison for ever after.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 
 from rtgs.render.cpu.channels import add_scaled, no_lanes, weighted_sum
 from rtgs.render.cpu.layout import (
+    BATCH,
     COLORS,
     DX,
     DXX,
@@ -27,9 +30,9 @@ from rtgs.render.cpu.layout import (
     LOG2_ALPHA_MIN,
     LOG2_OPACITY,
     ONE,
+    PATCH,
     SLANT,
     SPLAT,
-    TILE,
     X_LOW,
     Y_LOW,
     X,
@@ -37,6 +40,7 @@ from rtgs.render.cpu.layout import (
 )
 from rtgs.render.cpu.projection import slot_width
 from rtgs.render.cpu.simd import (
+    LANES,
     any_lane,
     exp2_below_one,
     lane_numbers,
@@ -47,7 +51,7 @@ from rtgs.render.cpu.simd import (
     maximum,
     minimum,
     negative_magnitude,
-    prefetch,
+    square_root,
     store,
     total,
     where,
@@ -55,360 +59,511 @@ from rtgs.render.cpu.simd import (
 from rtgs.render.settings import ALPHA_MAX, TRANSMITTANCE_MIN
 
 F = np.float32
-_AREA = TILE * TILE
-_LOOK_EVERY = 15  # after every 16th splat finished rows are looked for
-_AHEAD = 6  # splats fetched before they are needed; lists are padded by as many
+_AREA = PATCH * PATCH
+_SLACK_PX = 0.01  # covers the float32 rounding of a box
+_LEFT, _RIGHT, _UPPER, _LOWER = range(4)  # planes of a batch's boxes
 
 
 @nb.njit(inline="always")
-def _planes(n):
-    """`n` planes of a tile, `[n · 256]` float32 on a cache line's boundary."""
-    raw = np.empty(n * _AREA + 16, np.float32)
+def _aligned(n):
+    """`[n]` float32 on a cache line's boundary."""
+    raw = np.empty(n + 16, np.float32)
     skip = (-raw.ctypes.data % 64) // 4
-    return raw[skip : skip + n * _AREA]
+    return raw[skip : skip + n]
 
 
 @nb.njit(inline="always")
-def _fill(state, plane, value):
-    for r in range(TILE):
-        store(state, plane * _AREA + r * TILE, lanes_of(value))
+def _fill(state, at, value):
+    """One plane of a patch."""
+    for r in range(PATCH):
+        store(state, at + r * PATCH, lanes_of(value))
 
 
 @nb.njit(inline="always")
-def _fetch(source, q, top, left, state, plane):
+def _fetch(source, q, top, left, state, at):
     """Channel `q` of `[H, W, C]` into a plane; zero beyond the picture."""
-    _fill(state, plane, F(0))
-    for r in range(min(TILE, source.shape[0] - top)):
-        for i in range(min(TILE, source.shape[1] - left)):
-            state[plane * _AREA + r * TILE + i] = source[top + r, left + i, q]
+    _fill(state, at, F(0))
+    for r in range(min(PATCH, source.shape[0] - top)):
+        for i in range(min(PATCH, source.shape[1] - left)):
+            state[at + r * PATCH + i] = source[top + r, left + i, q]
 
 
 @nb.njit(inline="always")
-def _place(state, plane, sign, top, left, out, q):
+def _place(state, at, sign, top, left, out, q):
     """A plane, times `sign`, into channel `q` of `[H, W, C]`."""
-    for r in range(min(TILE, out.shape[0] - top)):
-        for i in range(min(TILE, out.shape[1] - left)):
-            out[top + r, left + i, q] = sign * state[plane * _AREA + r * TILE + i]
+    for r in range(min(PATCH, out.shape[0] - top)):
+        for i in range(min(PATCH, out.shape[1] - left)):
+            out[top + r, left + i, q] = sign * state[at + r * PATCH + i]
 
 
 @nb.njit(inline="always")
-def _rows_reached(splats, s, x, y, alive, rows):
-    """Which rows of the tile the splat reaches, as bits; `rows` gets each row's middle and q there.
+def _place_alpha(state, at, top, left, alpha):
+    for r in range(min(PATCH, alpha.shape[0] - top)):
+        for i in range(min(PATCH, alpha.shape[1] - left)):
+            alpha[top + r, left + i] = F(1) - abs(state[at + r * PATCH + i])
 
-    `x`, `y`: the centre from the tile's corner.
+
+@nb.njit(inline="always")
+def _patches(side, top, left, shape):
+    """Rows and columns of patches of a tile that lie in the picture."""
+    return (min(side, shape[0] - top) + PATCH - 1) // PATCH, (min(side, shape[1] - left) + PATCH - 1) // PATCH
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _load_batch(entries, first, count, splats, left, top, batch, boxes):
+    """Copy `count` splats, centres from the tile's corner, and take their bounding boxes as planes `[4 · BATCH]`."""
+    planes = np.empty(6 * LANES, np.float32)
+    for group in range(0, count, LANES):
+        for lane in range(LANES):
+            s, to = SPLAT * entries[first + min(group + lane, count - 1)], SPLAT * (group + lane)
+            store(batch, to, load(splats, s))
+            batch[to + X] = (splats[s + X] - left) + splats[s + X_LOW]
+            batch[to + Y] = (splats[s + Y] - top) + splats[s + Y_LOW]
+            planes[lane], planes[LANES + lane] = batch[to + X], batch[to + Y]
+            planes[2 * LANES + lane], planes[3 * LANES + lane] = splats[s + SLANT], splats[s + ETA]
+            planes[4 * LANES + lane], planes[5 * LANES + lane] = splats[s + KAPPA], splats[s + LOG2_OPACITY]
+        x, y, slant = load(planes, 0), load(planes, LANES), load(planes, 2 * LANES)
+        eta, kappa = load(planes, 3 * LANES), load(planes, 4 * LANES)
+        reach = maximum(load(planes, 5 * LANES) - F(LOG2_ALPHA_MIN), F(0))
+        half_x = square_root(reach * (F(1) / eta + slant * slant / kappa)) + F(_SLACK_PX)
+        half_y = square_root(reach / kappa) + F(_SLACK_PX)
+        store(boxes, _LEFT * BATCH + group, x - half_x)
+        store(boxes, _RIGHT * BATCH + group, x + half_x)
+        store(boxes, _UPPER * BATCH + group, y - half_y)
+        store(boxes, _LOWER * BATCH + group, y + half_y)
+
+
+@nb.njit(inline="always")
+def _candidates(boxes, group, count, x, y):
+    """Which of sixteen splats of the batch have a box that meets the patch at (x, y) of the tile, as bits."""
+    left, right = load(boxes, _LEFT * BATCH + group), load(boxes, _RIGHT * BATCH + group)
+    upper, lower = load(boxes, _UPPER * BATCH + group), load(boxes, _LOWER * BATCH + group)
+    meets = (left <= x + F(PATCH - 0.5)) & (right >= x + F(0.5)) & (upper <= y + F(PATCH - 0.5)) & (lower >= y + F(0.5))
+    return mask_bits(meets) & ((1 << min(LANES, count - group)) - 1)
+
+
+@nb.njit(inline="always")
+def _rows_reached(batch, s, x, y, alive, rows):
+    """Which rows of the patch the splat reaches, as bits; `rows` gets each row's middle and q there.
+
+    `x`, `y`: the centre from the patch's corner.
     """
     dy = lane_numbers() + F(0.5) - y
-    middle = x + dy * splats[s + SLANT]
-    q = splats[s + LOG2_OPACITY] - dy * dy * splats[s + KAPPA]
+    middle = x + dy * batch[s + SLANT]
+    q = batch[s + LOG2_OPACITY] - dy * dy * batch[s + KAPPA]
     store(rows, 0, middle)
-    store(rows, TILE, q)
-    beyond = maximum(maximum(F(0.5) - middle, middle - F(TILE - 0.5)), F(0))
-    return mask_bits(q - beyond * beyond * splats[s + ETA] >= F(LOG2_ALPHA_MIN)) & alive
+    store(rows, LANES, q)
+    beyond = maximum(maximum(F(0.5) - middle, middle - F(PATCH - 0.5)), F(0))
+    return mask_bits(q - beyond * beyond * batch[s + ETA] >= F(LOG2_ALPHA_MIN)) & alive
 
 
 @nb.njit(inline="always")
 def _opacity(rows, r, eta):
     """α at the sixteen pixels of row `r`; zero where it is under 1/255."""
     d = lane_numbers() + F(0.5) - rows[r]
-    q = rows[TILE + r] - d * d * eta
+    q = rows[LANES + r] - d * d * eta
     return where(q >= F(LOG2_ALPHA_MIN), minimum(exp2_below_one(q), F(ALPHA_MAX)), F(0))
 
 
 @nb.njit(inline="always")
-def _still_alive(state, alive):
-    """`alive` without the rows whose pixels are all finished; plane 0 is the transmittance."""
-    for r in range(TILE):
-        if (alive >> r) & 1 and not any_lane(load(state, r * TILE) > F(0)):
+def _still_alive(state, at, alive):
+    """`alive` without the rows whose pixels are all finished; `at` is the plane of transmittances."""
+    for r in range(PATCH):
+        if (alive >> r) & 1 and not any_lane(load(state, at + r * PATCH) > F(0)):
             alive &= ~(1 << r)
     return alive
 
 
+@nb.njit(inline="always")
+def _look(group):
+    """Finished rows are looked for after every 64 splats of the batch."""
+    return group & 63 == 48
+
+
+# --- forwards --------------------------------------------------------------------------------------
+
+
 @nb.njit(cache=True, error_model="numpy")
-def _blend_tile(start, end, entries, splats, left, top, channels, image, alpha):
-    """Returns how many list entries the tile needed. Planes: transmittance, C colours."""
-    state, rows = _planes(1 + len(channels)), _planes(1)
-    _fill(state, 0, F(1))
-    for c in range(len(channels)):
-        _fill(state, 1 + c, F(0))
-    alive = (1 << min(TILE, image.shape[0] - top)) - 1
-    for k in range(start, end):
-        if ((k - start) & _LOOK_EVERY) == _LOOK_EVERY:
-            alive = _still_alive(state, alive)
+def _blend_patch(batch, boxes, count, x, y, channels, state, at, alive, rows):
+    """Planes from `at` on: transmittance, C colours. Returns the rows that are still alive."""
+    for group in range(0, count, LANES):
+        bits = _candidates(boxes, group, count, x, y)
+        while bits != 0:
+            s = SPLAT * (group + lowest_bit(bits))
+            bits &= bits - 1
+            reached, eta = _rows_reached(batch, s, batch[s + X] - x, batch[s + Y] - y, alive, rows), batch[s + ETA]
+            while reached != 0:
+                r = lowest_bit(reached)
+                reached &= reached - 1
+                i = at + r * PATCH
+                al, t = _opacity(rows, r, eta), load(state, i)
+                w = al * t
+                after = t - w
+                is_open = after > F(TRANSMITTANCE_MIN)
+                w = where(is_open, w, F(0))
+                store(state, i, where(is_open, after, negative_magnitude(t)))
+                for c in range(len(channels)):
+                    i += _AREA
+                    store(state, i, load(state, i) + w * batch[s + COLORS + c])
+        if _look(group):
+            alive = _still_alive(state, at, alive)
             if alive == 0:
-                end = k
                 break
-        prefetch(splats, SPLAT * entries[k + _AHEAD])
-        s = SPLAT * entries[k]
-        x, y = (splats[s + X] - F(left)) + splats[s + X_LOW], (splats[s + Y] - F(top)) + splats[s + Y_LOW]
-        reached, eta = _rows_reached(splats, s, x, y, alive, rows), splats[s + ETA]
-        while reached != 0:
-            r = lowest_bit(reached)
-            reached &= reached - 1
-            al, t = _opacity(rows, r, eta), load(state, r * TILE)
-            w = al * t
-            after = t - w
-            is_open = after > F(TRANSMITTANCE_MIN)
-            w = where(is_open, w, F(0))
-            store(state, r * TILE, where(is_open, after, negative_magnitude(t)))
-            for c in range(len(channels)):
-                i = (1 + c) * _AREA + r * TILE
-                store(state, i, load(state, i) + w * splats[s + COLORS + c])
-    for r in range(min(TILE, image.shape[0] - top)):
-        for i in range(min(TILE, image.shape[1] - left)):
-            alpha[top + r, left + i] = F(1) - abs(state[r * TILE + i])
-    for c in range(len(channels)):
-        _place(state, 1 + c, F(1), top, left, image, c)
-    return end - start
+    return alive
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _blend_tile(start, end, entries, splats, left, top, side, channels, image, alpha):
+    """Returns how many list entries the tile needed: whole batches."""
+    planes = (1 + len(channels)) * _AREA
+    down, across = _patches(side, top, left, alpha.shape)
+    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
+    for p in range(down * across):
+        _fill(state, p * planes, F(1))
+        for c in range(len(channels)):
+            _fill(state, p * planes + (1 + c) * _AREA, F(0))
+        alive[p] = (1 << min(PATCH, alpha.shape[0] - top - p // across * PATCH)) - 1
+    first, living = start, down * across
+    while first < end and living > 0:
+        count, living = min(BATCH, end - first), 0
+        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        for p in range(down * across):
+            if alive[p] != 0:
+                x, y = F(p % across * PATCH), F(p // across * PATCH)
+                alive[p] = _blend_patch(batch, boxes, count, x, y, channels, state, p * planes, alive[p], rows)
+                living += 1 if alive[p] != 0 else 0
+        first += count
+    for p in range(down * across):
+        patch_top, patch_left = top + p // across * PATCH, left + p % across * PATCH
+        _place_alpha(state, p * planes, patch_top, patch_left, alpha)
+        for c in range(len(channels)):
+            _place(state, p * planes + (1 + c) * _AREA, F(1), patch_top, patch_left, image, c)
+    return first - start
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend(tile_order, tile_starts, entries, splats, channels, image, alpha, used):
+def blend(tile_order, tile_starts, entries, splats, side, channels, image, alpha, used):
     """Fill `image` `[H, W, C]`, `alpha` `[H, W]` and `used` `[T]`, how many of its list entries a tile needed.
 
     `channels` is a tuple of length C: its type carries C into the compiled code.
     """
-    tiles_x = (image.shape[1] + TILE - 1) // TILE
+    across = (image.shape[1] + side - 1) // side
     for n in nb.prange(len(tile_order)):
         tile = tile_order[n]
-        used[tile] = _blend_tile(
-            tile_starts[tile],
-            tile_starts[tile + 1],
-            entries,
-            splats,
-            (tile % tiles_x) * TILE,
-            (tile // tiles_x) * TILE,
-            channels,
-            image,
-            alpha,
-        )
+        left, top = tile % across * side, tile // across * side
+        start, end = tile_starts[tile], tile_starts[tile + 1]
+        used[tile] = _blend_tile(start, end, entries, splats, left, top, side, channels, image, alpha)
+
+
+# --- backwards -------------------------------------------------------------------------------------
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _blend_tile_backward(start, end, entries, splats, left, top, channels, image, alpha, g_image, g_alpha, slot, slot_grads):
-    """Planes: transmittance, what remains of ∂L·colour, C + 1 image gradients (alpha last)."""
-    count = len(channels)
-    state, rows = _planes(3 + count), _planes(1)
-    _fill(state, 0, F(1))
-    for c in range(count):
-        _fetch(g_image, c, top, left, state, 2 + c)
-    _fetch(g_alpha, 0, top, left, state, 2 + count)
-    _fill(state, 1, F(0))
-    for r in range(min(TILE, image.shape[0] - top)):
-        for i in range(min(TILE, image.shape[1] - left)):
-            at = r * TILE + i
-            remains = state[(2 + count) * _AREA + at] * alpha[top + r, left + i]
-            for c in range(count):
-                remains += state[(2 + c) * _AREA + at] * image[top + r, left + i, c]
-            state[_AREA + at] = remains
-    alive = (1 << min(TILE, image.shape[0] - top)) - 1
-    for k in range(start, end):
-        if ((k - start) & _LOOK_EVERY) == _LOOK_EVERY:
-            alive = _still_alive(state, alive)
-        prefetch(splats, SPLAT * entries[k + _AHEAD])
-        s = SPLAT * entries[k]
-        x, y = (splats[s + X] - F(left)) + splats[s + X_LOW], (splats[s + Y] - F(top)) + splats[s + Y_LOW]
-        reached, eta = _rows_reached(splats, s, x, y, alive, rows), splats[s + ETA]
-        colors = no_lanes(channels)
-        m0, m1, m2 = lanes_of(F(0)), lanes_of(F(0)), lanes_of(F(0))
-        while reached != 0:
-            r = lowest_bit(reached)
-            reached &= reached - 1
-            al, t = _opacity(rows, r, eta), load(state, r * TILE)
-            w = al * t
-            after = t - w
-            is_open = after > F(TRANSMITTANCE_MIN)
-            w = where(is_open, w, F(0))
-            store(state, r * TILE, where(is_open, after, negative_magnitude(t)))
-            planes = 2 * _AREA + r * TILE
-            here = weighted_sum(channels, load(state, planes + count * _AREA), state, planes, _AREA, splats, s + COLORS)
-            remains = load(state, _AREA + r * TILE) - w * here
-            store(state, _AREA + r * TILE, remains)
-            colors = add_scaled(colors, w, state, planes, _AREA)
-            # E = α·∂L/∂α; a held α does not move.
-            e = al * (t * here - remains / (F(1) - al))
-            e = where(is_open & (al < F(ALPHA_MAX)), e, F(0))
-            dy = F(r) + F(0.5) - y
-            m0 = m0 + e
-            m1 = m1 + e * dy
-            m2 = m2 + e * (dy * dy)
-        # dx is the same in every row: the moments in x are taken once, of the column sums.
-        dx = lane_numbers() + F(0.5) - x
-        row = slot_grads[(slot + k - start) * slot_width(G_COLORS + count) :]
-        m0x = m0 * dx
-        row[ONE], row[DX], row[DXX] = total(m0), total(m0x), total(m0x * dx)
-        row[DY], row[DXY], row[DYY] = total(m1), total(m1 * dx), total(m2)
-        for c in range(count):
-            row[G_COLORS + c] = total(colors[c])
+def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive, rows, gradients):
+    """Planes from `at` on: transmittance, what remains of ∂L·colour, C + 1 image gradients (alpha last).
+
+    Adds to `gradients`, a row of `LANES` numbers a splat of the batch.
+    """
+    for group in range(0, count, LANES):
+        bits = _candidates(boxes, group, count, x, y)
+        while bits != 0:
+            k = group + lowest_bit(bits)
+            s = SPLAT * k
+            bits &= bits - 1
+            from_y = batch[s + Y] - y
+            reached, eta = _rows_reached(batch, s, batch[s + X] - x, from_y, alive, rows), batch[s + ETA]
+            if reached == 0:
+                continue
+            colors = no_lanes(channels)
+            m0, m1, m2 = lanes_of(F(0)), lanes_of(F(0)), lanes_of(F(0))
+            while reached != 0:
+                r = lowest_bit(reached)
+                reached &= reached - 1
+                i = at + r * PATCH
+                al, t = _opacity(rows, r, eta), load(state, i)
+                w = al * t
+                after = t - w
+                is_open = after > F(TRANSMITTANCE_MIN)
+                w = where(is_open, w, F(0))
+                store(state, i, where(is_open, after, negative_magnitude(t)))
+                g_alpha = load(state, i + (2 + len(channels)) * _AREA)
+                here = weighted_sum(channels, g_alpha, state, i + 2 * _AREA, _AREA, batch, s + COLORS)
+                remains = load(state, i + _AREA) - w * here
+                store(state, i + _AREA, remains)
+                colors = add_scaled(colors, w, state, i + 2 * _AREA, _AREA)
+                # E = α·∂L/∂α; a held α does not move.
+                e = al * (t * here - remains / (F(1) - al))
+                e = where(is_open & (al < F(ALPHA_MAX)), e, F(0))
+                dy = F(r) + F(0.5) - from_y
+                m0 = m0 + e
+                m1 = m1 + e * dy
+                m2 = m2 + e * (dy * dy)
+            # dx is the same in every row: the moments in x are taken once, of the column sums.
+            dx = lane_numbers() + F(0.5) - (batch[s + X] - x)
+            g, m0x = k * LANES, m0 * dx
+            gradients[g + ONE] += total(m0)
+            gradients[g + DX] += total(m0x)
+            gradients[g + DY] += total(m1)
+            gradients[g + DXX] += total(m0x * dx)
+            gradients[g + DXY] += total(m1 * dx)
+            gradients[g + DYY] += total(m2)
+            for c in range(len(channels)):
+                gradients[g + G_COLORS + c] += total(colors[c])
+        if _look(group):
+            alive = _still_alive(state, at, alive)
+            if alive == 0:
+                break
+    return alive
+
+
+@nb.njit(inline="always")
+def _write_slots(gradients, count, width, slot, slot_grads):
+    for k in range(count):
+        for q in range(width):
+            slot_grads[(slot + k) * width + q] = gradients[k * LANES + q]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _blend_tile_backward(
+    start, end, entries, splats, left, top, side, channels, image, alpha, g_image, g_alpha, slot, slot_grads
+):
+    channel_count = len(channels)
+    planes, width = (3 + channel_count) * _AREA, slot_width(G_COLORS + channel_count)
+    down, across = _patches(side, top, left, alpha.shape)
+    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
+    gradients = _aligned(BATCH * LANES)
+    for p in range(down * across):
+        at, patch_top, patch_left = p * planes, top + p // across * PATCH, left + p % across * PATCH
+        _fill(state, at, F(1))
+        _fetch(g_alpha, 0, patch_top, patch_left, state, at + (2 + channel_count) * _AREA)
+        _fetch(alpha, 0, patch_top, patch_left, state, at + _AREA)
+        for r in range(PATCH):
+            i = at + r * PATCH
+            store(state, i + _AREA, load(state, i + _AREA) * load(state, i + (2 + channel_count) * _AREA))
+        for c in range(channel_count):
+            _fetch(image, c, patch_top, patch_left, state, at + (2 + c) * _AREA)
+            for r in range(PATCH):
+                store(rows, 0, load(state, at + (2 + c) * _AREA + r * PATCH))
+                for i in range(min(PATCH, alpha.shape[1] - patch_left)):
+                    if patch_top + r < alpha.shape[0]:
+                        state[at + (2 + c) * _AREA + r * PATCH + i] = g_image[patch_top + r, patch_left + i, c]
+                i = at + r * PATCH
+                store(state, i + _AREA, load(state, i + _AREA) + load(rows, 0) * load(state, i + (2 + c) * _AREA))
+        alive[p] = (1 << min(PATCH, alpha.shape[0] - patch_top)) - 1
+    for first in range(start, end, BATCH):
+        count = min(BATCH, end - first)
+        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        gradients[:] = F(0)
+        for p in range(down * across):
+            if alive[p] != 0:
+                x, y = F(p % across * PATCH), F(p // across * PATCH)
+                alive[p] = _blend_patch_backward(
+                    batch, boxes, count, x, y, channels, state, p * planes, alive[p], rows, gradients
+                )
+        _write_slots(gradients, count, width, slot + first - start, slot_grads)
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def blend_backward(
-    tile_order, tile_starts, entries, splats, channels, image, alpha, used, g_image, g_alpha, slot_starts, slot_grads
+    tile_order, tile_starts, entries, splats, side, channels, image, alpha, used, g_image, g_alpha, slot_starts, slot_grads
 ):
     """Fill `slot_grads`, rows of `slot_width(6 + C)`: the gradient of each list entry that was used, from its own tile.
 
     Args:
-        g_image: `[H, W, C]`. g_alpha: `[H, W, 1]`.
+        alpha, g_alpha: `[H, W, 1]`. g_image: `[H, W, C]`.
         slot_starts: `[T]`, where each tile's entries begin in `slot_grads`.
     """
-    tiles_x = (image.shape[1] + TILE - 1) // TILE
+    across = (image.shape[1] + side - 1) // side
     for n in nb.prange(len(tile_order)):
         tile = tile_order[n]
-        _blend_tile_backward(
-            tile_starts[tile],
-            tile_starts[tile] + used[tile],
-            entries,
-            splats,
-            (tile % tiles_x) * TILE,
-            (tile // tiles_x) * TILE,
-            channels,
-            image,
-            alpha,
-            g_image,
-            g_alpha,
-            slot_starts[tile],
-            slot_grads,
-        )
+        left, top = tile % across * side, tile // across * side
+        start, slot = tile_starts[tile], slot_starts[tile]
+        lists = (start, start + used[tile], entries, splats, left, top, side, channels)
+        _blend_tile_backward(*lists, image, alpha, g_image, g_alpha, slot, slot_grads)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _blend_tile_adjoint(start, end, entries, splats, left, top, channels, g_image, slot, slot_grads):
-    """Planes: transmittance, C image gradients."""
-    count = len(channels)
-    state, rows = _planes(1 + count), _planes(1)
-    _fill(state, 0, F(1))
-    for c in range(count):
-        _fetch(g_image, c, top, left, state, 1 + c)
-    alive = (1 << min(TILE, g_image.shape[0] - top)) - 1
-    for k in range(start, end):
-        if ((k - start) & _LOOK_EVERY) == _LOOK_EVERY:
-            alive = _still_alive(state, alive)
-        prefetch(splats, SPLAT * entries[k + _AHEAD])
-        s = SPLAT * entries[k]
-        x, y = (splats[s + X] - F(left)) + splats[s + X_LOW], (splats[s + Y] - F(top)) + splats[s + Y_LOW]
-        reached, eta = _rows_reached(splats, s, x, y, alive, rows), splats[s + ETA]
-        colors = no_lanes(channels)
-        while reached != 0:
-            r = lowest_bit(reached)
-            reached &= reached - 1
-            t = load(state, r * TILE)
-            w = _opacity(rows, r, eta) * t
-            after = t - w
-            is_open = after > F(TRANSMITTANCE_MIN)
-            store(state, r * TILE, where(is_open, after, negative_magnitude(t)))
-            colors = add_scaled(colors, where(is_open, w, F(0)), state, _AREA + r * TILE, _AREA)
-        row = slot_grads[(slot + k - start) * slot_width(count) :]
-        for c in range(count):
-            row[c] = total(colors[c])
-
-
-@nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend_adjoint(tile_order, tile_starts, entries, splats, channels, used, g_image, slot_starts, slot_grads):
-    """Fill `slot_grads`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map of the colours."""
-    tiles_x = (g_image.shape[1] + TILE - 1) // TILE
-    for n in nb.prange(len(tile_order)):
-        tile = tile_order[n]
-        _blend_tile_adjoint(
-            tile_starts[tile],
-            tile_starts[tile] + used[tile],
-            entries,
-            splats,
-            (tile % tiles_x) * TILE,
-            (tile // tiles_x) * TILE,
-            channels,
-            g_image,
-            slot_starts[tile],
-            slot_grads,
-        )
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _blend_tile_tangents(start, end, entries, splats, tangents, left, top, channels, directions, image, alpha, d_image, d_alpha):
-    """Planes: transmittance, C colours; then for each direction their tangents. Returns how many list entries the tile needed."""
-    count, ways = len(channels), len(directions)
-    width = 1 + count
-    state, rows, polynomial = _planes(width * (1 + ways)), _planes(1), _planes(1)
-    for plane in range(width * (1 + ways)):
-        _fill(state, plane, F(0))
-    _fill(state, 0, F(1))
-    alive = (1 << min(TILE, image.shape[0] - top)) - 1
-    for k in range(start, end):
-        if ((k - start) & _LOOK_EVERY) == _LOOK_EVERY:
-            alive = _still_alive(state, alive)
+def _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, at, alive, rows, gradients):
+    """Planes from `at` on: transmittance, C image gradients. Adds to `gradients`, a row of `LANES` numbers a splat of the batch."""
+    for group in range(0, count, LANES):
+        bits = _candidates(boxes, group, count, x, y)
+        while bits != 0:
+            k = group + lowest_bit(bits)
+            s = SPLAT * k
+            bits &= bits - 1
+            reached, eta = _rows_reached(batch, s, batch[s + X] - x, batch[s + Y] - y, alive, rows), batch[s + ETA]
+            if reached == 0:
+                continue
+            colors = no_lanes(channels)
+            while reached != 0:
+                r = lowest_bit(reached)
+                reached &= reached - 1
+                i = at + r * PATCH
+                t = load(state, i)
+                w = _opacity(rows, r, eta) * t
+                after = t - w
+                is_open = after > F(TRANSMITTANCE_MIN)
+                store(state, i, where(is_open, after, negative_magnitude(t)))
+                colors = add_scaled(colors, where(is_open, w, F(0)), state, i + _AREA, _AREA)
+            for c in range(len(channels)):
+                gradients[k * LANES + c] += total(colors[c])
+        if _look(group):
+            alive = _still_alive(state, at, alive)
             if alive == 0:
-                end = k
                 break
-        prefetch(splats, SPLAT * entries[k + _AHEAD])
-        s = SPLAT * entries[k]
-        x, y = (splats[s + X] - F(left)) + splats[s + X_LOW], (splats[s + Y] - F(top)) + splats[s + Y_LOW]
-        reached, eta = _rows_reached(splats, s, x, y, alive, rows), splats[s + ETA]
-        if reached == 0:
-            continue
-        first = entries[k] * ways * (G_COLORS + count)
-        dy = lane_numbers() + F(0.5) - y
-        for j in range(ways):
-            at = first + j * (G_COLORS + count)
-            store(polynomial, 2 * j * TILE, tangents[at + ONE] + dy * (tangents[at + DY] + dy * tangents[at + DYY]))
-            store(polynomial, (2 * j + 1) * TILE, tangents[at + DX] + dy * tangents[at + DXY])
-        dx = lane_numbers() + F(0.5) - x
-        while reached != 0:
-            r = lowest_bit(reached)
-            reached &= reached - 1
-            al, t = _opacity(rows, r, eta), load(state, r * TILE)
-            w = al * t
-            after = t - w
-            is_open = after > F(TRANSMITTANCE_MIN)
-            w = where(is_open, w, F(0))
-            store(state, r * TILE, where(is_open, after, negative_magnitude(t)))
-            for c in range(count):
-                i = (1 + c) * _AREA + r * TILE
-                store(state, i, load(state, i) + w * splats[s + COLORS + c])
-            moves = where(al < F(ALPHA_MAX), w, F(0))  # a held α does not move
-            al = where(is_open, al, F(0))
-            for j in range(ways):
-                at, planes = first + j * (G_COLORS + count), (1 + j) * width * _AREA + r * TILE
-                d_ln_alpha = polynomial[2 * j * TILE + r] + dx * (polynomial[(2 * j + 1) * TILE + r] + dx * tangents[at + DXX])
-                d_t = load(state, planes)
-                d_w = moves * d_ln_alpha + al * d_t  # w = α·T
-                store(state, planes, d_t - d_w)
-                for c in range(count):
-                    i = planes + (1 + c) * _AREA
-                    store(state, i, load(state, i) + d_w * splats[s + COLORS + c] + w * tangents[at + G_COLORS + c])
-    for r in range(min(TILE, image.shape[0] - top)):
-        for i in range(min(TILE, image.shape[1] - left)):
-            alpha[top + r, left + i] = F(1) - abs(state[r * TILE + i])
-    for c in range(count):
-        _place(state, 1 + c, F(1), top, left, image, c)
-    for j in range(ways):
-        _place(state, (1 + j) * width, F(-1), top, left, d_alpha, j)
-        for c in range(count):
-            _place(state, (1 + j) * width + 1 + c, F(1), top, left, d_image, j * count + c)
-    return end - start
+    return alive
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, g_image, slot, slot_grads):
+    planes, width = (1 + len(channels)) * _AREA, slot_width(len(channels))
+    down, across = _patches(side, top, left, g_image.shape)
+    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
+    gradients = _aligned(BATCH * LANES)
+    for p in range(down * across):
+        patch_top, patch_left = top + p // across * PATCH, left + p % across * PATCH
+        _fill(state, p * planes, F(1))
+        for c in range(len(channels)):
+            _fetch(g_image, c, patch_top, patch_left, state, p * planes + (1 + c) * _AREA)
+        alive[p] = (1 << min(PATCH, g_image.shape[0] - patch_top)) - 1
+    for first in range(start, end, BATCH):
+        count = min(BATCH, end - first)
+        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        gradients[:] = F(0)
+        for p in range(down * across):
+            if alive[p] != 0:
+                x, y = F(p % across * PATCH), F(p // across * PATCH)
+                alive[p] = _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, p * planes, alive[p], rows, gradients)
+        _write_slots(gradients, count, width, slot + first - start, slot_grads)
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend_tangents(tile_order, tile_starts, entries, splats, tangents, channels, directions, image, alpha, d_image, d_alpha):
+def blend_adjoint(tile_order, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
+    """Fill `slot_grads`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map of the
+    colours."""
+    across = (g_image.shape[1] + side - 1) // side
+    for n in nb.prange(len(tile_order)):
+        tile = tile_order[n]
+        left, top = tile % across * side, tile // across * side
+        start, slot = tile_starts[tile], slot_starts[tile]
+        _blend_tile_adjoint(start, start + used[tile], entries, splats, left, top, side, channels, g_image, slot, slot_grads)
+
+
+# --- sideways --------------------------------------------------------------------------------------
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _blend_patch_tangents(
+    batch, boxes, count, x, y, channels, directions, entries, first, tangents, state, at, alive, rows, polynomial
+):
+    """Planes from `at` on: transmittance, C colours; then for each direction their tangents."""
+    channel_count, ways = len(channels), len(directions)
+    width = G_COLORS + channel_count
+    for group in range(0, count, LANES):
+        bits = _candidates(boxes, group, count, x, y)
+        while bits != 0:
+            k = group + lowest_bit(bits)
+            s = SPLAT * k
+            bits &= bits - 1
+            from_y = batch[s + Y] - y
+            reached, eta = _rows_reached(batch, s, batch[s + X] - x, from_y, alive, rows), batch[s + ETA]
+            if reached == 0:
+                continue
+            tangent = entries[first + k] * ways * width
+            dy = lane_numbers() + F(0.5) - from_y
+            for j in range(ways):
+                g = tangent + j * width
+                store(polynomial, 2 * j * LANES, tangents[g + ONE] + dy * (tangents[g + DY] + dy * tangents[g + DYY]))
+                store(polynomial, (2 * j + 1) * LANES, tangents[g + DX] + dy * tangents[g + DXY])
+            dx = lane_numbers() + F(0.5) - (batch[s + X] - x)
+            while reached != 0:
+                r = lowest_bit(reached)
+                reached &= reached - 1
+                i = at + r * PATCH
+                al, t = _opacity(rows, r, eta), load(state, i)
+                w = al * t
+                after = t - w
+                is_open = after > F(TRANSMITTANCE_MIN)
+                w = where(is_open, w, F(0))
+                store(state, i, where(is_open, after, negative_magnitude(t)))
+                for c in range(channel_count):
+                    i += _AREA
+                    store(state, i, load(state, i) + w * batch[s + COLORS + c])
+                moves = where(al < F(ALPHA_MAX), w, F(0))  # a held α does not move
+                al = where(is_open, al, F(0))
+                for j in range(ways):
+                    i += _AREA
+                    g = tangent + j * width
+                    slope = polynomial[(2 * j + 1) * LANES + r] + dx * tangents[g + DXX]
+                    d_ln_alpha = polynomial[2 * j * LANES + r] + dx * slope
+                    d_t = load(state, i)
+                    d_w = moves * d_ln_alpha + al * d_t  # w = α·T
+                    store(state, i, d_t - d_w)
+                    for c in range(channel_count):
+                        i += _AREA
+                        store(state, i, load(state, i) + d_w * batch[s + COLORS + c] + w * tangents[g + G_COLORS + c])
+        if _look(group):
+            alive = _still_alive(state, at, alive)
+            if alive == 0:
+                break
+    return alive
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _blend_tile_tangents(
+    start, end, entries, splats, tangents, left, top, side, channels, directions, image, alpha, d_image, d_alpha
+):
+    channel_count, ways = len(channels), len(directions)
+    each = (1 + channel_count) * _AREA
+    planes = each * (1 + ways)
+    down, across = _patches(side, top, left, alpha.shape)
+    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
+    polynomial = _aligned(2 * ways * LANES)
+    state[:] = F(0)
+    for p in range(down * across):
+        _fill(state, p * planes, F(1))
+        alive[p] = (1 << min(PATCH, alpha.shape[0] - top - p // across * PATCH)) - 1
+    first, living = start, down * across
+    while first < end and living > 0:
+        count, living = min(BATCH, end - first), 0
+        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        for p in range(down * across):
+            if alive[p] != 0:
+                x, y = F(p % across * PATCH), F(p // across * PATCH)
+                which = (batch, boxes, count, x, y, channels, directions, entries, first, tangents)
+                alive[p] = _blend_patch_tangents(*which, state, p * planes, alive[p], rows, polynomial)
+                living += 1 if alive[p] != 0 else 0
+        first += count
+    for p in range(down * across):
+        at, patch_top, patch_left = p * planes, top + p // across * PATCH, left + p % across * PATCH
+        _place_alpha(state, at, patch_top, patch_left, alpha)
+        for c in range(channel_count):
+            _place(state, at + (1 + c) * _AREA, F(1), patch_top, patch_left, image, c)
+        for j in range(ways):
+            at += each
+            _place(state, at, F(-1), patch_top, patch_left, d_alpha, j)
+            for c in range(channel_count):
+                _place(state, at + (1 + c) * _AREA, F(1), patch_top, patch_left, d_image, j * channel_count + c)
+
+
+@nb.njit(parallel=True, cache=True, error_model="numpy")
+def blend_tangents(
+    tile_order, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
+):
     """`blend`, and its tangents `d_image` `[H, W, K·C]`, `d_alpha` `[H, W, K]`.
 
     Args:
         tangents: `[N · K · (6 + C)]`, of each splat in each direction (see `layout`).
         channels, directions: tuples of length C and K.
     """
-    tiles_x = (image.shape[1] + TILE - 1) // TILE
+    across = (image.shape[1] + side - 1) // side
     for n in nb.prange(len(tile_order)):
         tile = tile_order[n]
-        _blend_tile_tangents(
-            tile_starts[tile],
-            tile_starts[tile + 1],
-            entries,
-            splats,
-            tangents,
-            (tile % tiles_x) * TILE,
-            (tile // tiles_x) * TILE,
-            channels,
-            directions,
-            image,
-            alpha,
-            d_image,
-            d_alpha,
-        )
+        left, top = tile % across * side, tile // across * side
+        start, end = tile_starts[tile], tile_starts[tile + 1]
+        lists = (start, end, entries, splats, tangents, left, top, side, channels, directions)
+        _blend_tile_tangents(*lists, image, alpha, d_image, d_alpha)

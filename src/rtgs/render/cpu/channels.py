@@ -43,9 +43,7 @@ def add_scaled(typingctx, sums, weight, planes, index, step):  # type: ignore[no
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         old = cgutils.unpack_tuple(builder, args[0])
         loaded = _planes(context, builder, sig.args[2], args[2], args[3], args[4], len(old))
-        new = [
-            builder.fadd(s, builder.fmul(args[1], g, flags=FLAGS), flags=FLAGS) for s, g in zip(old, loaded, strict=True)
-        ]
+        new = [builder.fadd(s, builder.fmul(args[1], g, flags=FLAGS), flags=FLAGS) for s, g in zip(old, loaded, strict=True)]
         return context.make_tuple(builder, sig.return_type, new)
 
     return sums(sums, float_lanes, planes, types.intp, types.intp), codegen

@@ -82,9 +82,12 @@ def _bin(order, boxes, pair_starts, tiles_x, tile_count, total):
     for block in nb.prange(_BLOCKS):
         for rank in range(block * len(order) // _BLOCKS, (block + 1) * len(order) // _BLOCKS):
             i = order[rank]
-            for row in range(boxes[i, 1], boxes[i, 1] + boxes[i, 3]):
-                for column in range(boxes[i, 0], boxes[i, 0] + boxes[i, 2]):
-                    counts[block, row * tiles_x + column] += 1
+            tile, column, columns = boxes[i, 1] * tiles_x + boxes[i, 0], 0, boxes[i, 2]
+            for _ in range(pair_starts[i], pair_starts[i + 1]):
+                counts[block, tile] += 1
+                column += 1
+                tile += tiles_x - columns + 1 if column == columns else 1
+                column = 0 if column == columns else column
     tile_starts = np.empty(tile_count + 1, np.int64)
     start = 0
     for tile in range(tile_count):
@@ -101,15 +104,15 @@ def _bin(order, boxes, pair_starts, tiles_x, tile_count, total):
     for block in nb.prange(_BLOCKS):
         for rank in range(block * len(order) // _BLOCKS, (block + 1) * len(order) // _BLOCKS):
             i = order[rank]
-            at = pair_starts[i]
-            for row in range(boxes[i, 1], boxes[i, 1] + boxes[i, 3]):
-                for column in range(boxes[i, 0], boxes[i, 0] + boxes[i, 2]):
-                    tile = row * tiles_x + column
-                    place = counts[block, tile]
-                    counts[block, tile] = place + 1
-                    entries[tile_starts[tile] + place] = i
-                    places[at] = place
-                    at += 1
+            tile, column, columns = boxes[i, 1] * tiles_x + boxes[i, 0], 0, boxes[i, 2]
+            for at in range(pair_starts[i], pair_starts[i + 1]):
+                place = counts[block, tile]
+                counts[block, tile] = place + 1
+                entries[tile_starts[tile] + place] = i
+                places[at] = place
+                column += 1
+                tile += tiles_x - columns + 1 if column == columns else 1
+                column = 0 if column == columns else column
     return tile_starts, entries, places
 
 
