@@ -60,12 +60,12 @@ class SE3:
         """`(R, factor · t)`: Eq. 1's rig transform in SfM units, when `factor` is `sfm_per_metre`."""
         return SE3(self.rotation, factor * self.translation)
 
-    def to_torch(self, dtype: Any = None) -> SE3:
-        """The same transform as torch tensors (float32 unless told otherwise)."""
+    def to_torch(self, dtype: Any = None, device: Any = None) -> SE3:
+        """The same transform as torch tensors (float32 unless told otherwise, and where they are unless told to move)."""
         import torch
 
         dtype = dtype or torch.float32
-        return SE3(torch.as_tensor(self.rotation).to(dtype), torch.as_tensor(self.translation).to(dtype))
+        return SE3(*(torch.as_tensor(part).to(device=device, dtype=dtype) for part in (self.rotation, self.translation)))
 
 
 @dataclass(frozen=True, eq=False)

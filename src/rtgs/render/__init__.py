@@ -9,7 +9,7 @@ from rtgs.camera import Camera
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
-from rtgs.render import cpu, reference
+from rtgs.render import cpu, cuda, reference
 from rtgs.render.settings import Backend, Render, RenderSettings
 from rtgs.sh import coefficients
 
@@ -30,22 +30,29 @@ def render(
     included) and `pixel_offsets`.
 
     Args:
-        gaussians: the model; the "cpu" back end computes in float32.
+        gaussians: the model, on the GPU for "cuda"; "cpu" and "cuda" compute in float32.
         camera: a camera without distortion.
-        camera_from_world: NumPy or torch.
+        camera_from_world: NumPy or torch, on any device.
         settings: how; `RenderSettings()` when None.
         pixel_offsets: `[N, 2]`, added to the projected centres. Zeros that require a gradient give the screen-space gradient that
             densification reads.
 
     Raises:
-        RtgsError: the camera has a lens; the settings ask for SH bands or weigh channels that the model does not have; "cpu" is given
+        RtgsError: the camera has a lens; the model is not on the back end's device, or gsplat is missing for "cuda"; the settings ask
+            for SH bands or weigh channels that the model does not have; "cpu" is given
             more than eight channels, depth included.
     """
     settings = settings or RenderSettings()
     if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
         raise RtgsError(f"render: the camera model is {camera.model}; undistort first (camera.Undistortion).")
-    backend = {"cpu": cpu, "reference": reference}[settings.backend]
-    pose = camera_from_world.to_torch(gaussians.means.dtype)
+    device = gaussians.means.device
+    if settings.backend != "cuda" and device.type != "cpu":
+        raise RtgsError(
+            f'render: the model is on "{device}" and backend "{settings.backend}" wants it on the CPU: move it with '
+            'Gaussians.to("cpu"), or use backend "cuda".'
+        )
+    backend = {"cpu": cpu, "cuda": cuda, "reference": reference}[settings.backend]
+    pose = camera_from_world.to_torch(gaussians.means.dtype, device)
     sh = gaussians.sh
     if settings.sh_degree is not None:
         if settings.sh_degree > gaussians.sh_degree:
@@ -58,7 +65,7 @@ def render(
             raise RtgsError(
                 f"render: channel_weights has {len(settings.channel_weights)} numbers, the model {gaussians.channels} channel(s)."
             )
-        colors = colors @ torch.tensor(settings.channel_weights, dtype=colors.dtype)[:, None]
+        colors = colors @ torch.tensor(settings.channel_weights, dtype=colors.dtype, device=device)[:, None]
     if settings.with_depth:  # depth is one more channel
         depths = gaussians.means @ pose.rotation[2] + pose.translation[2]
         colors = torch.cat([colors, depths[:, None]], dim=1)

@@ -14,7 +14,7 @@ TRANSMITTANCE_MIN = 1e-4  # a pixel that lets through less than this is finished
 COVARIANCE_BLUR_PX2 = 0.3  # added to the projected covariance: at least half a pixel wide
 FRUSTUM_MARGIN = 0.3  # the affine projection is linearised no further out than this share of tan(½ field of view)
 
-Backend = Literal["cpu", "reference"]
+Backend = Literal["cpu", "cuda", "reference"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class RenderSettings:
     """How to render.
 
     Attributes:
-        backend: "cpu" (Numba, float32) or "reference" (PyTorch, any dtype, slow).
+        backend: "cpu" (Numba, float32), "cuda" (gsplat, float32, for a model on an NVIDIA GPU) or "reference" (PyTorch, any dtype,
+            slow).
         near_plane: Gaussians whose centre is nearer than this are left out; world units.
         antialiased: scale opacity by the area that the blur added (Mip-Splatting's 2D filter), so that a model looks alike at
             every resolution.
