@@ -1,86 +1,20 @@
-"""`render`: a Gaussian model seen from a camera, with gradients for the model and for the pose."""
+"""Drawing a Gaussian model: `render` (reverse mode), `render_with_tangents` (forward mode), `LinearRender` (colours as a linear map)."""
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
-from rtgs.camera import Camera
-from rtgs.errors import RtgsError
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
-from rtgs.render import cpu, cuda, reference
+from rtgs.render.linear import LinearRender, LinearViews
 from rtgs.render.settings import Backend, Render, RenderSettings
-from rtgs.sh import coefficients
+from rtgs.render.tangents import Direction, Tangents, render_with_tangents
+from rtgs.render.view import render
 
-__all__ = ["Backend", "Render", "RenderSettings", "render"]
-
-
-def render(
-    gaussians: Gaussians,
-    camera: Camera,
-    camera_from_world: SE3,
-    *,
-    settings: RenderSettings | None = None,
-    pixel_offsets: Tensor | None = None,
-) -> Render:
-    """Render a model.
-
-    Gradients reach every tensor of `gaussians`, both parts of `camera_from_world` (the view direction of the spherical harmonics
-    included) and `pixel_offsets`.
-
-    Args:
-        gaussians: the model, on the GPU for "cuda"; "cpu" and "cuda" compute in float32.
-        camera: a camera without distortion.
-        camera_from_world: NumPy or torch, on any device.
-        settings: how; `RenderSettings()` when None.
-        pixel_offsets: `[N, 2]`, added to the projected centres. Zeros that require a gradient give the screen-space gradient that
-            densification reads.
-
-    Raises:
-        RtgsError: the camera has a lens; the model is not on the back end's device, or gsplat is missing for "cuda"; the settings ask
-            for SH bands or weigh channels that the model does not have; "cpu" is given
-            more than eight channels, depth included.
-    """
-    settings = settings or RenderSettings()
-    if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        raise RtgsError(f"render: the camera model is {camera.model}; undistort first (camera.Undistortion).")
-    device = gaussians.means.device
-    if settings.backend != "cuda" and device.type != "cpu":
-        raise RtgsError(
-            f'render: the model is on "{device}" and backend "{settings.backend}" wants it on the CPU: move it with '
-            'Gaussians.to("cpu"), or use backend "cuda".'
-        )
-    backend = {"cpu": cpu, "cuda": cuda, "reference": reference}[settings.backend]
-    pose = camera_from_world.to_torch(gaussians.means.dtype, device)
-    sh = gaussians.sh
-    if settings.sh_degree is not None:
-        if settings.sh_degree > gaussians.sh_degree:
-            raise RtgsError(f"render: sh_degree {settings.sh_degree} asked, the model has {gaussians.sh_degree}.")
-        sh = sh[:, : coefficients(settings.sh_degree)]
-    camera_centre = -(pose.rotation.T @ pose.translation)
-    colors = backend.colors_from_sh(gaussians.means, sh, camera_centre)
-    if settings.channel_weights is not None:
-        if len(settings.channel_weights) != gaussians.channels:
-            raise RtgsError(
-                f"render: channel_weights has {len(settings.channel_weights)} numbers, the model {gaussians.channels} channel(s)."
-            )
-        colors = colors @ torch.tensor(settings.channel_weights, dtype=colors.dtype, device=device)[:, None]
-    if settings.with_depth:  # depth is one more channel
-        depths = gaussians.means @ pose.rotation[2] + pose.translation[2]
-        colors = torch.cat([colors, depths[:, None]], dim=1)
-    image, alpha, visible = backend.rasterize(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.log_scales,
-        gaussians.opacity_logits,
-        colors,
-        camera,
-        pose,
-        near_plane=settings.near_plane,
-        antialiased=settings.antialiased,
-        pixel_offsets=pixel_offsets,
-    )
-    if settings.with_depth:
-        return Render(image[..., :-1], alpha, image[..., -1], visible)
-    return Render(image, alpha, None, visible)
+__all__ = [
+    "Backend",
+    "Direction",
+    "LinearRender",
+    "LinearViews",
+    "Render",
+    "RenderSettings",
+    "Tangents",
+    "render",
+    "render_with_tangents",
+]

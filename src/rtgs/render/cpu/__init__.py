@@ -5,10 +5,8 @@ Everything is deterministic, whatever the number of threads: sums run over fixed
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,10 +16,10 @@ from torch.autograd.function import once_differentiable
 from rtgs.camera import Camera
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
-from rtgs.render.cpu import projection, sh, tiles
-from rtgs.render.cpu.blend import blend, blend_adjoint, blend_backward
-from rtgs.render.cpu.layout import CHUNKS, G_COLORS, MAX_CHANNELS, SPLAT, tile_side
-from rtgs.render.cpu.simd import LANES
+from rtgs.render.cpu import motion, sh
+from rtgs.render.cpu.blend import blend_tangents
+from rtgs.render.cpu.layout import CHUNKS, G_COLORS, MAX_CHANNELS
+from rtgs.render.cpu.splats import Splats
 
 
 def colors_from_sh(means: Tensor, coefficients: Tensor, camera_centre: Tensor) -> Tensor:
@@ -47,10 +45,7 @@ def rasterize(
     Raises:
         RtgsError: more colour channels than the kernels are written out for, or none.
     """
-    if not 1 <= colors.shape[1] <= MAX_CHANNELS:
-        raise RtgsError(
-            f"render: {colors.shape[1]} channels (depth counts as one); the cpu back end composites 1 to {MAX_CHANNELS} at once."
-        )
+    check_channels(colors.shape[1])
     return _Rasterize.apply(
         means,
         quats,
@@ -63,6 +58,73 @@ def rasterize(
         camera,
         near_plane,
         antialiased,
+    )
+
+
+def check_channels(channels: int) -> None:
+    """Raises RtgsError for more colour channels than a splat's cache line holds, or none."""
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise RtgsError(
+            f"render: {channels} channels (depth counts as one); the cpu back end composites 1 to {MAX_CHANNELS} at once."
+        )
+
+
+def rasterize_with_tangents(
+    means: Tensor,
+    quats: Tensor,
+    log_scales: Tensor,
+    opacity_logits: Tensor,
+    coefficients: Tensor,
+    mixing: NDArray[np.float64],
+    camera: Camera,
+    camera_from_world: SE3,
+    directions: NDArray[np.float64],
+    *,
+    near_plane: float,
+    antialiased: bool,
+    with_depth: bool,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Image and tangents in one pass.
+
+    Args:
+        coefficients: `[N, K, C]`. mixing: `[O, C]`, which sums of the C colours are composited.
+        directions: `[D, 10]` (see `motion`).
+
+    Returns:
+        image `[H, W, O]` (`O + 1` with depth, the last), alpha `[H, W]`, their derivatives `[D, H, W, O]` and `[D, H, W]`, and
+        visible `[N]`.
+
+    Raises:
+        RtgsError: more channels than the kernels are written out for.
+    """
+    outputs = len(mixing) + with_depth
+    check_channels(outputs)
+    model = (_f32(means), _f32(quats), _f32(log_scales), _f32(opacity_logits))
+    pose = (_f64(camera_from_world.rotation), _f64(camera_from_world.translation))
+    n, ways = len(means), len(directions)
+    centre, centre_rates = -(pose[0].T @ pose[1]), -directions[:, 3:6] @ pose[0]
+    colors, slopes = np.empty((n, outputs), np.float32), np.empty((n, len(mixing), 3), np.float32)
+    plain = np.empty((n, len(mixing)), np.float32) if with_depth else colors
+    sh.mixed_colors_and_slopes(model[0], _f32(coefficients), centre, mixing.astype(np.float32), plain, slopes)
+    if with_depth:
+        colors[:, :-1], colors[:, -1] = plain, model[0] @ pose[0][2] + pose[1][2]
+    splats = Splats.of(model, np.empty((0, 2), np.float32), colors, camera, pose, near_plane, antialiased)
+    tangents = np.empty(n * ways * (G_COLORS + outputs), np.float32)
+    arguments: list[Any] = [*model, *pose, *splats.view, antialiased, splats.tiles, directions, slopes]
+    arguments += [centre_rates, with_depth, tangents]
+    motion.move(*arguments)
+    height, width = splats.shape
+    image, alpha = np.empty((height, width, outputs), np.float32), np.empty((height, width), np.float32)
+    d_image, d_alpha = np.empty((height, width, ways * outputs), np.float32), np.empty((height, width, ways), np.float32)
+    order, starts, entries, rows, side = splats.lists
+    lists = (order, starts, entries, rows, tangents, side)
+    blend_tangents(*lists, (0,) * outputs, (0,) * ways, image, alpha, d_image, d_alpha)
+    return (
+        torch.from_numpy(image),
+        torch.from_numpy(alpha),
+        torch.from_numpy(d_image.reshape(height, width, ways, outputs)).permute(2, 0, 1, 3),
+        torch.from_numpy(d_alpha).permute(2, 0, 1),
+        torch.from_numpy(splats.tiles > 0),
     )
 
 
@@ -134,117 +196,16 @@ class _Rasterize(torch.autograd.Function):
         if not any(needed for k, needed in enumerate(needs) if k != 4):  # colours alone
             g_colors = splats.adjoint(_f32(g_image), used)
             return (None,) * 4 + (torch.from_numpy(g_colors),) + (None,) * 6
-        n, channels = len(model[0]), image.shape[2]
-        slot_starts, slots = splats.slots(used)
-        slot_grads = _rows_of_slots(slots, G_COLORS + channels)
-        images = (image, alpha[..., None])
-        g_images = (_f32(g_image), _f32(g_alpha)[..., None])
-        blend_backward(*splats.lists, (0,) * channels, *images, used, *g_images, slot_starts, slot_grads)
-        g_model = [np.zeros_like(array) for array in model]
-        g_colors = np.zeros((n, channels), np.float32)
-        g_offsets = np.zeros((n if needs[5] else 0, 2), np.float32)
-        g_pose = np.zeros((CHUNKS, 12))
-        arguments: list[Any] = [*model, *pose, *splats.view, splats.side, antialiased]
-        arguments += [splats.boxes, splats.pair_starts, splats.places, used]
-        projection.project_backward(*arguments, slot_starts, slot_grads, *g_model, g_offsets, g_colors, g_pose)
-        g_pose_sum = torch.from_numpy(g_pose.sum(0)).to(torch.float32)
+        images, g_images = (image, alpha, used), (_f32(g_image), _f32(g_alpha))
+        g_model, g_offsets, g_colors, g_pose = splats.backward(model, pose, antialiased, images, *g_images, needs[5])
+        pose_gradient = torch.from_numpy(g_pose).to(torch.float32)
         return (
             *(torch.from_numpy(g) for g in g_model),
             torch.from_numpy(g_colors),
             torch.from_numpy(g_offsets) if needs[5] else None,
-            g_pose_sum[:9].reshape(3, 3),
-            g_pose_sum[9:],
+            pose_gradient[:9].reshape(3, 3),
+            pose_gradient[9:],
             None,
             None,
             None,
         )
-
-
-def _rows_of_slots(rows: int, numbers: int) -> NDArray[np.float32]:
-    width = projection.slot_width(numbers)
-    slots = np.empty(rows * width + LANES, np.float32)  # the last row is read a register at a time
-    slots[: max(width, LANES)] = 0.0
-    return slots
-
-
-@dataclass(frozen=True, eq=False)
-class Splats:
-    """A model as one camera sees it, sorted into tiles.
-
-    Attributes:
-        rows: `[N · 16]` float32 (see `layout`), set where visible.
-        tiles: `[N]`, tiles in a splat's box, 0 where not visible. boxes: `[N, 4]` int16. pair_starts: `[N + 1]` into places.
-        tile_starts: `[T + 1]` into entries; entries: `[S + padding]`; places: `[S]` (see `tiles.bin_splats`).
-        tile_order: `[T]`, balanced over the threads.
-        view: intrinsics `[4]` and image size `[2]`, float64.
-        side: of a tile, pixels.
-        channels: C.
-    """
-
-    rows: NDArray[np.float32]
-    tiles: NDArray[np.int32]
-    boxes: NDArray[np.int16]
-    pair_starts: NDArray[np.int64]
-    tile_starts: NDArray[np.int64]
-    entries: NDArray[np.int32]
-    places: NDArray[np.int32]
-    tile_order: NDArray[np.int64]
-    view: tuple[NDArray[np.float64], NDArray[np.float64]]
-    side: int
-    channels: int
-
-    @staticmethod
-    def of(
-        model: tuple[NDArray[np.float32], ...],
-        offsets: NDArray[np.float32],
-        colors: NDArray[np.float32],
-        camera: Camera,
-        pose: tuple[NDArray[np.float64], NDArray[np.float64]],
-        near_plane: float,
-        antialiased: bool,
-    ) -> Splats:
-        n, side = len(colors), tile_side(camera.width, camera.height)
-        view = (np.array([camera.fl_x, camera.fl_y, camera.cx, camera.cy]), np.array([camera.width, camera.height], np.float64))
-        rows, depths = np.empty(n * SPLAT, np.float32), np.empty(n, np.float32)
-        counts, boxes = np.empty(n, np.int32), np.empty((n, 4), np.int16)
-        arguments: list[Any] = [*model, offsets, colors, *pose, *view, side, float(near_plane), antialiased]
-        projection.project(*arguments, rows, depths, boxes, counts)
-        order = tiles.depth_order(depths.view(np.uint32), counts)
-        pair_starts = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
-        columns, lines = -(-camera.width // side), -(-camera.height // side)
-        tile_starts, entries, places = tiles.bin_splats(order, boxes, pair_starts, columns, lines)
-        tile_order = tiles.balanced(tile_starts, nb.get_num_threads())
-        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, tile_order, view, side, colors.shape[1])
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-        return int(self.view[1][1]), int(self.view[1][0])
-
-    @property
-    def lists(self) -> tuple[Any, ...]:
-        """What every blending kernel begins with."""
-        return self.tile_order, self.tile_starts, self.entries, self.rows, self.side
-
-    def blend(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """Image `[H, W, C]`, alpha `[H, W]`, and how many of its entries each tile needed `[T]`."""
-        image, alpha = np.empty((*self.shape, self.channels), np.float32), np.empty(self.shape, np.float32)
-        used = np.empty(len(self.tile_order), np.int64)
-        blend(*self.lists, (0,) * self.channels, image, alpha, used)
-        return image, alpha, used
-
-    def slots(self, used: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-        """Where each tile's used entries begin when only those are kept, and how many rows that makes; row 0 stays free."""
-        ends = np.cumsum(used) + 1
-        return ends - used, int(ends[-1])
-
-    def adjoint(self, g_image: NDArray[np.float32], used: NDArray[np.int64]) -> NDArray[np.float32]:
-        """`[N, C]`: the transpose of `blend` as a map of the colours, of `[H, W, C]`."""
-        channels = g_image.shape[2]
-        slot_starts, slots = self.slots(used)
-        slot_grads = _rows_of_slots(slots, channels)
-        blend_adjoint(*self.lists, (0,) * channels, used, g_image, slot_starts, slot_grads)
-        g_colors = np.empty((len(self.tiles), channels), np.float32)
-        columns = -(-self.shape[1] // self.side)
-        projection.gather_colors(self.boxes, self.pair_starts, self.places, used, slot_starts, columns, slot_grads, g_colors)
-        return g_colors

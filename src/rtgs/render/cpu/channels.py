@@ -25,7 +25,7 @@ def _planes(context: Any, builder: Any, kind: Any, array: Any, index: Any, step:
 
 
 @intrinsic
-def no_lanes(typingctx, channels):  # type: ignore[no-untyped-def]
+def no_lanes(typingctx, channels):
     """A tuple of C zero lanes; `channels` is a tuple of length C."""
     sums = types.UniTuple(float_lanes, channels.count)
 
@@ -37,7 +37,7 @@ def no_lanes(typingctx, channels):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def add_scaled(typingctx, sums, weight, planes, index, step):  # type: ignore[no-untyped-def]
+def add_scaled(typingctx, sums, weight, planes, index, step):
     """sums[q] + weight · planes[index + q·step …] for each channel q."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -50,7 +50,7 @@ def add_scaled(typingctx, sums, weight, planes, index, step):  # type: ignore[no
 
 
 @intrinsic
-def weighted_sum(typingctx, channels, start, planes, index, step, splats, at):  # type: ignore[no-untyped-def]
+def weighted_sum(typingctx, channels, start, planes, index, step, splats, at):
     """start + Σ_q splats[at + q] · planes[index + q·step …]."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -1,10 +1,10 @@
-"""Project Gaussians to splats, take a splat's gradients back to Gaussian and pose, and a camera's motion forward to splats.
+"""Project Gaussians to splats, and take a splat's gradients back to Gaussian and pose.
 
 Sixteen Gaussians are worked on at once: they are copied into planes of sixteen, so that any selection of them will do. Camera
 coordinates and pixel centres are float64 (a world may lie far from its origin), the rest float32; the covariance's determinant is
 summed from squares of minors, which cancels nowhere.
 
-Letters, fixed here: W, t = camera_from_world; V = W·M with M = R(q)·diag(σ); U = J·V the 2×3 square root of the projected
+Letters, fixed here and in `motion`: W, t = camera_from_world; V = W·M with M = R(q)·diag(σ); U = J·V the 2×3 square root of the projected
 covariance [[a, b], [b, c]] before the blur; Q = its inverse after the blur.
 """
 
@@ -58,8 +58,8 @@ from rtgs.render.settings import ALPHA_MIN, COVARIANCE_BLUR_PX2, FRUSTUM_MARGIN
 F = np.float32
 _LOG2_E = 1.4426950408889634
 # Planes of a group of sixteen Gaussians.
-_MEAN, _QUAT, _LOG_SCALE, _LOGIT, _OFFSET = 0, 3, 7, 10, 11
-_INPUTS = 13
+MEAN, QUAT, LOG_SCALE, LOGIT, OFFSET = 0, 3, 7, 10, 11
+INPUTS = 13
 
 
 @nb.njit(inline="always")
@@ -69,31 +69,31 @@ def slot_width(numbers):
 
 
 @nb.njit(inline="always")
-def _gather(lane, i, means, quats, log_scales, opacity_logits, offsets, group):
+def gather(lane, i, means, quats, log_scales, opacity_logits, offsets, group):
     for k in range(3):
-        group[(_MEAN + k) * LANES + lane] = means[i, k]
-        group[(_LOG_SCALE + k) * LANES + lane] = log_scales[i, k]
+        group[(MEAN + k) * LANES + lane] = means[i, k]
+        group[(LOG_SCALE + k) * LANES + lane] = log_scales[i, k]
     for k in range(4):
-        group[(_QUAT + k) * LANES + lane] = quats[i, k]
-    group[_LOGIT * LANES + lane] = opacity_logits[i]
-    group[_OFFSET * LANES + lane] = offsets[i, 0] if len(offsets) > 0 else F(0)
-    group[(_OFFSET + 1) * LANES + lane] = offsets[i, 1] if len(offsets) > 0 else F(0)
+        group[(QUAT + k) * LANES + lane] = quats[i, k]
+    group[LOGIT * LANES + lane] = opacity_logits[i]
+    group[OFFSET * LANES + lane] = offsets[i, 0] if len(offsets) > 0 else F(0)
+    group[(OFFSET + 1) * LANES + lane] = offsets[i, 1] if len(offsets) > 0 else F(0)
 
 
 @nb.njit(inline="always")
-def _plane(group, k):
+def plane(group, k):
     return load(group, k * LANES)
 
 
 @nb.njit(inline="always")
-def _wide(group, k):
+def wide(group, k):
     return widen(load(group, k * LANES))
 
 
 @nb.njit(inline="always")
-def _camera_point(group, rotation, translation):
+def camera_point(group, rotation, translation):
     """The centres in camera coordinates, float64."""
-    x, y, z = widen(_plane(group, _MEAN)), widen(_plane(group, _MEAN + 1)), widen(_plane(group, _MEAN + 2))
+    x, y, z = widen(plane(group, MEAN)), widen(plane(group, MEAN + 1)), widen(plane(group, MEAN + 2))
     return (
         x * rotation[0, 0] + y * rotation[0, 1] + z * rotation[0, 2] + translation[0],
         x * rotation[1, 0] + y * rotation[1, 1] + z * rotation[1, 2] + translation[1],
@@ -102,15 +102,15 @@ def _camera_point(group, rotation, translation):
 
 
 @nb.njit(inline="always")
-def _camera_square_root(group, rotation, m, v):
+def camera_square_root(group, rotation, m, v):
     """Fill M and V, `[9 · 16]` each, row by row; return 1/|q|."""
-    w, x, y, z = _plane(group, _QUAT), _plane(group, _QUAT + 1), _plane(group, _QUAT + 2), _plane(group, _QUAT + 3)
+    w, x, y, z = plane(group, QUAT), plane(group, QUAT + 1), plane(group, QUAT + 2), plane(group, QUAT + 3)
     inverse = 1.0 / maximum(square_root(w * w + x * x + y * y + z * z), 1e-12)
     w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
     s0, s1, s2 = (
-        exponential(_plane(group, _LOG_SCALE)),
-        exponential(_plane(group, _LOG_SCALE + 1)),
-        exponential(_plane(group, _LOG_SCALE + 2)),
+        exponential(plane(group, LOG_SCALE)),
+        exponential(plane(group, LOG_SCALE + 1)),
+        exponential(plane(group, LOG_SCALE + 2)),
     )
     store(m, 0 * LANES, (1.0 - 2.0 * (y * y + z * z)) * s0)
     store(m, 1 * LANES, 2.0 * (x * y - w * z) * s1)
@@ -126,30 +126,30 @@ def _camera_square_root(group, rotation, m, v):
             store(
                 v,
                 (3 * i + j) * LANES,
-                _plane(m, j) * rotation[i, 0] + _plane(m, 3 + j) * rotation[i, 1] + _plane(m, 6 + j) * rotation[i, 2],
+                plane(m, j) * rotation[i, 0] + plane(m, 3 + j) * rotation[i, 1] + plane(m, 6 + j) * rotation[i, 2],
             )
     return inverse
 
 
 @nb.njit(inline="always")
-def _held(slope, centre, focal, size):
+def held(slope, centre, focal, size):
     """x/z or y/z held within the view plus a margin."""
     margin = FRUSTUM_MARGIN * 0.5 * size / focal
     return minimum(maximum(slope, -centre / focal - margin), (size - centre) / focal + margin)
 
 
 @nb.njit(inline="always")
-def _image_square_root(v, jx, jy, sx, sy, u):
+def image_square_root(v, jx, jy, sx, sy, u):
     """Fill U `[6 · 16]`, row by row."""
     for j in range(3):
-        store(u, j * LANES, jx * (_plane(v, j) - sx * _plane(v, 6 + j)))
-        store(u, (3 + j) * LANES, jy * (_plane(v, 3 + j) - sy * _plane(v, 6 + j)))
+        store(u, j * LANES, jx * (plane(v, j) - sx * plane(v, 6 + j)))
+        store(u, (3 + j) * LANES, jy * (plane(v, 3 + j) - sy * plane(v, 6 + j)))
 
 
 @nb.njit(inline="always")
-def _covariance(u):
+def covariance(u):
     """a, b, c and the determinant ac − b² of U·Uᵀ, float64; the determinant as the sum of U's squared minors."""
-    x0, x1, x2, y0, y1, y2 = _wide(u, 0), _wide(u, 1), _wide(u, 2), _wide(u, 3), _wide(u, 4), _wide(u, 5)
+    x0, x1, x2, y0, y1, y2 = wide(u, 0), wide(u, 1), wide(u, 2), wide(u, 3), wide(u, 4), wide(u, 5)
     n0, n1, n2 = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
     return (
         x0 * x0 + x1 * x1 + x2 * x2,
@@ -162,27 +162,27 @@ def _covariance(u):
 @nb.njit(cache=True, error_model="numpy")
 def _project_group(group, rotation, translation, intrinsics, size, near, antialiased, scratch, out, centres):
     """Fill `out`: SLANT … LOG2_OPACITY and the pixel rectangle; `centres` (x, y, low parts); z. Returns the visible lanes as bits."""
-    x, y, z = _camera_point(group, rotation, translation)
+    x, y, z = camera_point(group, rotation, translation)
     deep = mask_bits(z > near)
     if deep == 0:
         return deep
-    pixel_x = intrinsics[0] * x / z + intrinsics[2] + widen(_plane(group, _OFFSET))
-    pixel_y = intrinsics[1] * y / z + intrinsics[3] + widen(_plane(group, _OFFSET + 1))
+    pixel_x = intrinsics[0] * x / z + intrinsics[2] + widen(plane(group, OFFSET))
+    pixel_y = intrinsics[1] * y / z + intrinsics[3] + widen(plane(group, OFFSET + 1))
     px, py = narrow(pixel_x), narrow(pixel_y)
     depth = narrow(z)
     m, v, u = scratch[: 9 * LANES], scratch[9 * LANES : 18 * LANES], scratch[18 * LANES : 24 * LANES]
-    _camera_square_root(group, rotation, m, v)
-    sx = _held(narrow(x) / depth, intrinsics[2], intrinsics[0], size[0])
-    sy = _held(narrow(y) / depth, intrinsics[3], intrinsics[1], size[1])
-    _image_square_root(v, intrinsics[0] / depth, intrinsics[1] / depth, sx, sy, u)
-    a, b, c, det_sharp = _covariance(u)
+    camera_square_root(group, rotation, m, v)
+    sx = held(narrow(x) / depth, intrinsics[2], intrinsics[0], size[0])
+    sy = held(narrow(y) / depth, intrinsics[3], intrinsics[1], size[1])
+    image_square_root(v, intrinsics[0] / depth, intrinsics[1] / depth, sx, sy, u)
+    a, b, c, det_sharp = covariance(u)
     det = det_sharp + COVARIANCE_BLUR_PX2 * (a + c) + COVARIANCE_BLUR_PX2 * COVARIANCE_BLUR_PX2
     a, c = a + COVARIANCE_BLUR_PX2, c + COVARIANCE_BLUR_PX2
     slant, eta, kappa = narrow(b / c), narrow((0.5 * _LOG2_E) * c / det), narrow((0.5 * _LOG2_E) / c)
     fade = narrow(square_root(maximum(det_sharp / det, 1e-12)))
     finite = mask_bits(det < np.inf)
     wide, high = narrow(a), narrow(c)
-    opacity = 1.0 / (1.0 + exponential(-_plane(group, _LOGIT)))
+    opacity = 1.0 / (1.0 + exponential(-plane(group, LOGIT)))
     if antialiased:
         opacity = opacity * fade
     log_opacity = log2(opacity)
@@ -236,13 +236,13 @@ def project(
     """
     n = len(means)
     for chunk in nb.prange(CHUNKS):
-        group, scratch = np.zeros(_INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
+        group, scratch = np.zeros(INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
         out, centres = np.empty(9 * LANES, np.float32), np.empty(4 * LANES, np.float32)
         stop = (chunk + 1) * n // CHUNKS
         for first in range(chunk * n // CHUNKS, stop, LANES):
             count = min(LANES, stop - first)
             for lane in range(count):
-                _gather(lane, first + lane, means, quats, log_scales, opacity_logits, offsets, group)
+                gather(lane, first + lane, means, quats, log_scales, opacity_logits, offsets, group)
             bits = _project_group(group, rotation, translation, intrinsics, size, near, antialiased, scratch, out, centres)
             for lane in range(count):
                 i = first + lane
@@ -290,22 +290,22 @@ def _pull_back_group(group, moments, rotation, translation, intrinsics, size, an
     Args:
         moments: `[6 · 16]`. out: `[13 · 16]`, in the order of the inputs. pose: `[12 · 16]` float64, (W, t) row by row, added to.
     """
-    wide_x, wide_y, wide_z = _camera_point(group, rotation, translation)
+    wide_x, wide_y, wide_z = camera_point(group, rotation, translation)
     x, y, z = narrow(wide_x), narrow(wide_y), narrow(wide_z)
     m, v, u = scratch[: 9 * LANES], scratch[9 * LANES : 18 * LANES], scratch[18 * LANES : 24 * LANES]
-    inverse_norm = _camera_square_root(group, rotation, m, v)
+    inverse_norm = camera_square_root(group, rotation, m, v)
     slope_x, slope_y = x / z, y / z
-    sx, sy = _held(slope_x, intrinsics[2], intrinsics[0], size[0]), _held(slope_y, intrinsics[3], intrinsics[1], size[1])
+    sx, sy = held(slope_x, intrinsics[2], intrinsics[0], size[0]), held(slope_y, intrinsics[3], intrinsics[1], size[1])
     jx, jy = intrinsics[0] / z, intrinsics[1] / z
-    _image_square_root(v, jx, jy, sx, sy, u)
+    image_square_root(v, jx, jy, sx, sy, u)
 
     # Q·M·Q·U cancels as (length / width)² of what is drawn, twice: float64.
-    a, b, c, det_sharp = _covariance(u)
+    a, b, c, det_sharp = covariance(u)
     det = det_sharp + COVARIANCE_BLUR_PX2 * (a + c) + COVARIANCE_BLUR_PX2 * COVARIANCE_BLUR_PX2
     inverse = 1.0 / det
     q00, q01, q11 = (c + COVARIANCE_BLUR_PX2) * inverse, -b * inverse, (a + COVARIANCE_BLUR_PX2) * inverse
-    one, mx, my = _wide(moments, ONE), _wide(moments, DX), _wide(moments, DY)
-    mxx, mxy, myy = _wide(moments, DXX), _wide(moments, DXY), _wide(moments, DYY)
+    one, mx, my = wide(moments, ONE), wide(moments, DX), wide(moments, DY)
+    mxx, mxy, myy = wide(moments, DXX), wide(moments, DXY), wide(moments, DYY)
     gx, gy = narrow(q00 * mx + q01 * my), narrow(q01 * mx + q11 * my)
     # ∂L/∂covariance = ½·Q·M·Q, symmetric: (h00, h01, h11).
     p00, p01, p10, p11 = q00 * mxx + q01 * mxy, q00 * mxy + q01 * myy, q01 * mxx + q11 * mxy, q01 * mxy + q11 * myy
@@ -317,19 +317,19 @@ def _pull_back_group(group, moments, rotation, translation, intrinsics, size, an
         h00 = h00 + k * (c * sharp - q00)
         h01 = h01 + k * (-b * sharp - q01)
         h11 = h11 + k * (a * sharp - q11)
-    store(out, _LOGIT * LANES, narrow(one) / (1.0 + exponential(_plane(group, _LOGIT))))
-    store(out, _OFFSET * LANES, gx)
-    store(out, (_OFFSET + 1) * LANES, gy)
+    store(out, LOGIT * LANES, narrow(one) / (1.0 + exponential(plane(group, LOGIT))))
+    store(out, OFFSET * LANES, gx)
+    store(out, (OFFSET + 1) * LANES, gy)
 
     # covariance = U·Uᵀ, U = J·V; J = [[jx, 0, −jx·sx], [0, jy, −jy·sy]]. V gives way to its gradient.
     dj00, dj02, dj11, dj12 = 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x
     for j in range(3):
-        ux, uy = _wide(u, j), _wide(u, 3 + j)
+        ux, uy = wide(u, j), wide(u, 3 + j)
         dux, duy = narrow(2.0 * (h00 * ux + h01 * uy)), narrow(2.0 * (h01 * ux + h11 * uy))
-        dj00 = dj00 + dux * _plane(v, j)
-        dj02 = dj02 + dux * _plane(v, 6 + j)
-        dj11 = dj11 + duy * _plane(v, 3 + j)
-        dj12 = dj12 + duy * _plane(v, 6 + j)
+        dj00 = dj00 + dux * plane(v, j)
+        dj02 = dj02 + dux * plane(v, 6 + j)
+        dj11 = dj11 + duy * plane(v, 3 + j)
+        dj12 = dj12 + duy * plane(v, 6 + j)
         store(v, j * LANES, jx * dux)
         store(v, (3 + j) * LANES, jy * duy)
         store(v, (6 + j) * LANES, -(jx * sx * dux + jy * sy * duy))
@@ -339,14 +339,14 @@ def _pull_back_group(group, moments, rotation, translation, intrinsics, size, an
     dz = -(jx * x * gx + jy * y * gy + jx * dj00 + jy * dj11) / z
     dz = dz + (where(free_x, 2.0 * jx * sx, jx * sx) * dj02 + where(free_y, 2.0 * jy * sy, jy * sy) * dj12) / z
     for k in range(3):
-        store(out, (_MEAN + k) * LANES, dx * rotation[0, k] + dy * rotation[1, k] + dz * rotation[2, k])
+        store(out, (MEAN + k) * LANES, dx * rotation[0, k] + dy * rotation[1, k] + dz * rotation[2, k])
 
     for r in range(3):
         d = dx if r == 0 else (dy if r == 1 else dz)
         for k in range(3):
-            towards = d * _plane(group, _MEAN + k)
+            towards = d * plane(group, MEAN + k)
             for j in range(3):
-                towards = towards + _plane(v, 3 * r + j) * _plane(m, 3 * k + j)
+                towards = towards + plane(v, 3 * r + j) * plane(m, 3 * k + j)
             at = (3 * r + k) * LANES
             store(pose, at, load(pose, at) + widen(towards))
         at = (9 + r) * LANES
@@ -354,44 +354,44 @@ def _pull_back_group(group, moments, rotation, translation, intrinsics, size, an
 
     # ∂M = Wᵀ·∂V, then M = R(q)·diag(σ); V's place holds ∂R.
     for j in range(3):
-        sigma = exponential(_plane(group, _LOG_SCALE + j))
-        v0, v1, v2 = _plane(v, j), _plane(v, 3 + j), _plane(v, 6 + j)
+        sigma = exponential(plane(group, LOG_SCALE + j))
+        v0, v1, v2 = plane(v, j), plane(v, 3 + j), plane(v, 6 + j)
         along = 0.0 * x
         for k in range(3):
             dm = v0 * rotation[0, k] + v1 * rotation[1, k] + v2 * rotation[2, k]
-            along = along + dm * _plane(m, 3 * k + j)
+            along = along + dm * plane(m, 3 * k + j)
             store(v, (3 * k + j) * LANES, dm * sigma)
-        store(out, (_LOG_SCALE + j) * LANES, along)
+        store(out, (LOG_SCALE + j) * LANES, along)
     w, qx, qy, qz = (
-        _plane(group, _QUAT) * inverse_norm,
-        _plane(group, _QUAT + 1) * inverse_norm,
-        _plane(group, _QUAT + 2) * inverse_norm,
-        _plane(group, _QUAT + 3) * inverse_norm,
+        plane(group, QUAT) * inverse_norm,
+        plane(group, QUAT + 1) * inverse_norm,
+        plane(group, QUAT + 2) * inverse_norm,
+        plane(group, QUAT + 3) * inverse_norm,
     )
-    r00, r01, r02, r10, r11 = _plane(v, 0), _plane(v, 1), _plane(v, 2), _plane(v, 3), _plane(v, 4)
-    r12, r20, r21, r22 = _plane(v, 5), _plane(v, 6), _plane(v, 7), _plane(v, 8)
+    r00, r01, r02, r10, r11 = plane(v, 0), plane(v, 1), plane(v, 2), plane(v, 3), plane(v, 4)
+    r12, r20, r21, r22 = plane(v, 5), plane(v, 6), plane(v, 7), plane(v, 8)
     dw = 2.0 * (qz * (r10 - r01) + qy * (r02 - r20) + qx * (r21 - r12))
     dqx = 2.0 * (qy * (r01 + r10) + qz * (r02 + r20) + w * (r21 - r12) - 2.0 * qx * (r11 + r22))
     dqy = 2.0 * (qx * (r01 + r10) + qz * (r12 + r21) + w * (r02 - r20) - 2.0 * qy * (r00 + r22))
     dqz = 2.0 * (qx * (r02 + r20) + qy * (r12 + r21) + w * (r10 - r01) - 2.0 * qz * (r00 + r11))
     radial = dw * w + dqx * qx + dqy * qy + dqz * qz
-    store(out, _QUAT * LANES, (dw - radial * w) * inverse_norm)
-    store(out, (_QUAT + 1) * LANES, (dqx - radial * qx) * inverse_norm)
-    store(out, (_QUAT + 2) * LANES, (dqy - radial * qy) * inverse_norm)
-    store(out, (_QUAT + 3) * LANES, (dqz - radial * qz) * inverse_norm)
+    store(out, QUAT * LANES, (dw - radial * w) * inverse_norm)
+    store(out, (QUAT + 1) * LANES, (dqx - radial * qx) * inverse_norm)
+    store(out, (QUAT + 2) * LANES, (dqy - radial * qy) * inverse_norm)
+    store(out, (QUAT + 3) * LANES, (dqz - radial * qz) * inverse_norm)
 
 
 @nb.njit(inline="always")
 def _scatter(lane, i, out, g_means, g_quats, g_log_scales, g_opacity_logits, g_offsets):
     for k in range(3):
-        g_means[i, k] = out[(_MEAN + k) * LANES + lane]
-        g_log_scales[i, k] = out[(_LOG_SCALE + k) * LANES + lane]
+        g_means[i, k] = out[(MEAN + k) * LANES + lane]
+        g_log_scales[i, k] = out[(LOG_SCALE + k) * LANES + lane]
     for k in range(4):
-        g_quats[i, k] = out[(_QUAT + k) * LANES + lane]
-    g_opacity_logits[i] = out[_LOGIT * LANES + lane]
+        g_quats[i, k] = out[(QUAT + k) * LANES + lane]
+    g_opacity_logits[i] = out[LOGIT * LANES + lane]
     if len(g_offsets) > 0:
-        g_offsets[i, 0] = out[_OFFSET * LANES + lane]
-        g_offsets[i, 1] = out[(_OFFSET + 1) * LANES + lane]
+        g_offsets[i, 0] = out[OFFSET * LANES + lane]
+        g_offsets[i, 1] = out[(OFFSET + 1) * LANES + lane]
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
@@ -431,8 +431,8 @@ def project_backward(
     tiles_x = (int(size[0]) + side - 1) // side
     nothing = np.empty((0, 2), np.float32)
     for chunk in nb.prange(CHUNKS):
-        group, scratch = np.zeros(_INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
-        moments, out = np.zeros(G_COLORS * LANES, np.float32), np.empty(_INPUTS * LANES, np.float32)
+        group, scratch = np.zeros(INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
+        moments, out = np.zeros(G_COLORS * LANES, np.float32), np.empty(INPUTS * LANES, np.float32)
         pose, row = np.zeros(12 * LANES, np.float64), np.empty(LANES, np.float32)
         chosen = np.empty(LANES, np.int64)
         count, stop = 0, (chunk + 1) * n // CHUNKS
@@ -444,14 +444,14 @@ def project_backward(
                 store(row, 0, sums)
                 for c in range(channels):
                     g_colors[i, c] = row[G_COLORS + c]
-                _gather(count, i, means, quats, log_scales, opacity_logits, nothing, group)
+                gather(count, i, means, quats, log_scales, opacity_logits, nothing, group)
                 for k in range(G_COLORS):
                     moments[k * LANES + count] = row[k]
                 chosen[count] = i
                 count += 1
             if count == LANES or (i == stop - 1 and count > 0):
                 for lane in range(count, LANES):  # a lane that stands for nothing repeats the last and adds nothing
-                    _gather(lane, chosen[count - 1], means, quats, log_scales, opacity_logits, nothing, group)
+                    gather(lane, chosen[count - 1], means, quats, log_scales, opacity_logits, nothing, group)
                     for k in range(G_COLORS):
                         moments[k * LANES + lane] = F(0)
                 _pull_back_group(group, moments, rotation, translation, intrinsics, size, antialiased, scratch, out, pose)

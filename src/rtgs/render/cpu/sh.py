@@ -162,3 +162,48 @@ def evaluate_backward(means, sh, centre, colors, g_colors, directional, g_sh, g_
                     for axis in range(3):
                         g_means[first + lane, axis] = group[axis * LANES + lane]
         g_centre[chunk, 0], g_centre[chunk, 1], g_centre[chunk, 2] = at_x, at_y, at_z
+
+
+@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+def mixed_colors_and_slopes(means, sh, centre, mixing, colors, slopes):
+    """Weighted sums of the colours, and how they change with the camera's centre.
+
+    Args:
+        mixing: `[O, C]`. colors: `[N, O]`, filled with Σ_c mixing · max(0, ½ + basis · sh_c).
+        slopes: `[N, O, 3]`, filled with ∂colors/∂centre.
+    """
+    n, k, channels, outputs = len(means), sh.shape[1], sh.shape[2], len(mixing)
+    for chunk in nb.prange(CHUNKS):
+        group, basis = np.empty(3 * LANES, np.float32), np.empty(16 * LANES, np.float32)
+        mixed, weights = np.zeros(16 * LANES, np.float32), np.empty((LANES, channels), np.float32)
+        stop = (chunk + 1) * n // CHUNKS
+        for first in range(chunk * n // CHUNKS, stop, LANES):
+            count = min(LANES, stop - first)
+            x, y, z, inverse = _directions(first, count, means, centre, group)
+            _fill_basis(x, y, z, k, basis)
+            for lane in range(count):
+                for q in range(channels):
+                    value = F(0.5)
+                    for j in range(k):
+                        value += basis[j * LANES + lane] * sh[first + lane, j, q]
+                    weights[lane, q] = max(value, F(0))
+            for o in range(outputs):
+                for lane in range(count):
+                    total_color = F(0)
+                    for q in range(channels):
+                        total_color += mixing[o, q] * weights[lane, q]
+                    colors[first + lane, o] = total_color
+                    for j in range(1, k):
+                        value = F(0)
+                        for q in range(channels):
+                            if weights[lane, q] > F(0):
+                                value += mixing[o, q] * sh[first + lane, j, q]
+                        mixed[j * LANES + lane] = value
+                dx, dy, dz = _basis_slope(x, y, z, k, mixed)
+                radial = dx * x + dy * y + dz * z
+                store(group, 0, (radial * x - dx) * inverse)
+                store(group, LANES, (radial * y - dy) * inverse)
+                store(group, 2 * LANES, (radial * z - dz) * inverse)
+                for lane in range(count):
+                    for axis in range(3):
+                        slopes[first + lane, o, axis] = group[axis * LANES + lane]

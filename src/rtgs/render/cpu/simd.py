@@ -48,7 +48,7 @@ _ELEMENT = {
 
 
 @register_model(LanesType)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, lanes: LanesType) -> None:
         super().__init__(manager, lanes, ir.VectorType(_ELEMENT[lanes.dtype], LANES))
 
@@ -87,7 +87,7 @@ def _numeric(kind: types.Type) -> bool:
 
 def _define_operator(op: Callable[..., Any], emit: Callable[[Any, Any, Any, LanesType], Any], compares: bool) -> None:
     @infer_global(op)
-    class _Template(AbstractTemplate):  # type: ignore[misc]
+    class _Template(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
             lanes = [a for a in args if isinstance(a, LanesType)]
             if len(args) != 2 or kws or not lanes or not all(map(_numeric, args)) or any(l != lanes[0] for l in lanes):
@@ -132,7 +132,7 @@ _define_operator(operator.or_, lambda builder, a, b, lanes: builder.or_(a, b), c
 
 
 @infer_global(operator.neg)
-class _Negation(AbstractTemplate):  # type: ignore[misc]
+class _Negation(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         return signature(args[0], args[0]) if isinstance(args[0], LanesType) else None
 
@@ -151,7 +151,7 @@ def address(context: Any, builder: Any, kind: types.Array, array: Any, index: An
 
 
 @intrinsic
-def load(typingctx, array, index):  # type: ignore[no-untyped-def]
+def load(typingctx, array, index):
     """Sixteen numbers of a contiguous float array from the flat `index` on. Bounds are the caller's."""
     lanes = LanesType(array.dtype)
 
@@ -163,7 +163,7 @@ def load(typingctx, array, index):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def store(typingctx, array, index, value):  # type: ignore[no-untyped-def]
+def store(typingctx, array, index, value):
     """Write lanes into a contiguous array from the flat `index` on."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -175,7 +175,7 @@ def store(typingctx, array, index, value):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
+def prefetch(typingctx, array, index):
     """Ask for the cache line of the flat `index`; any index is allowed."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -190,7 +190,7 @@ def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def lanes_of(typingctx, scalar):  # type: ignore[no-untyped-def]
+def lanes_of(typingctx, scalar):
     """A float32 in every lane."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -200,7 +200,7 @@ def lanes_of(typingctx, scalar):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def lane_numbers(typingctx):  # type: ignore[no-untyped-def]
+def lane_numbers(typingctx):
     """0, 1, … 15 as float32."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -210,7 +210,7 @@ def lane_numbers(typingctx):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def where(typingctx, mask, a, b):  # type: ignore[no-untyped-def]
+def where(typingctx, mask, a, b):
     """Lane by lane a or b; one of them may be a scalar."""
     lanes = a if isinstance(a, LanesType) else b
 
@@ -223,7 +223,7 @@ def where(typingctx, mask, a, b):  # type: ignore[no-untyped-def]
 
 def _of_two(name: str) -> Any:
     @intrinsic
-    def function(typingctx, a, b):  # type: ignore[no-untyped-def]
+    def function(typingctx, a, b):
         lanes = a if isinstance(a, LanesType) else b
 
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -242,7 +242,7 @@ maximum = _of_two(">")
 
 def _of_one(name: str) -> Any:
     @intrinsic
-    def function(typingctx, a):  # type: ignore[no-untyped-def]
+    def function(typingctx, a):
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             return _call(builder, f"llvm.{name}.{_suffix(a)}", vector_of(a), args[0])
 
@@ -258,7 +258,7 @@ ceil = _of_one("ceil")
 
 
 @intrinsic
-def negative_magnitude(typingctx, a):  # type: ignore[no-untyped-def]
+def negative_magnitude(typingctx, a):
     """−|a|: sets the sign bit."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -271,7 +271,7 @@ def negative_magnitude(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def narrow(typingctx, a):  # type: ignore[no-untyped-def]
+def narrow(typingctx, a):
     """float64 lanes as float32."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -281,7 +281,7 @@ def narrow(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def widen(typingctx, a):  # type: ignore[no-untyped-def]
+def widen(typingctx, a):
     """float32 lanes as float64."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -291,7 +291,7 @@ def widen(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def any_lane(typingctx, mask):  # type: ignore[no-untyped-def]
+def any_lane(typingctx, mask):
     """Whether the mask holds anywhere."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -302,7 +302,7 @@ def any_lane(typingctx, mask):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def mask_bits(typingctx, mask):  # type: ignore[no-untyped-def]
+def mask_bits(typingctx, mask):
     """The mask as an integer, lane k in bit k."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -312,7 +312,7 @@ def mask_bits(typingctx, mask):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def lowest_bit(typingctx, bits):  # type: ignore[no-untyped-def]
+def lowest_bit(typingctx, bits):
     """Number of the lowest bit that is set; `bits` is not 0."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -322,7 +322,7 @@ def lowest_bit(typingctx, bits):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def total(typingctx, a):  # type: ignore[no-untyped-def]
+def total(typingctx, a):
     """Sum over the lanes, as a balanced tree: the same for every machine."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -345,7 +345,7 @@ def total(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def truncate_to_int(typingctx, a):  # type: ignore[no-untyped-def]
+def truncate_to_int(typingctx, a):
     """Towards zero; a lane beyond int32 is undefined."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -355,7 +355,7 @@ def truncate_to_int(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def to_float(typingctx, a):  # type: ignore[no-untyped-def]
+def to_float(typingctx, a):
     """int32 lanes as float32."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -365,7 +365,7 @@ def to_float(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def scale_by_power_of_two(typingctx, a, n):  # type: ignore[no-untyped-def]
+def scale_by_power_of_two(typingctx, a, n):
     """a · 2ⁿ by adding n to the exponent's bits: exact while the result is a normal number."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -377,7 +377,7 @@ def scale_by_power_of_two(typingctx, a, n):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def exponent(typingctx, a):  # type: ignore[no-untyped-def]
+def exponent(typingctx, a):
     """⌊log₂ a⌋ of a positive normal number, as float32."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -390,7 +390,7 @@ def exponent(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def mantissa(typingctx, a):  # type: ignore[no-untyped-def]
+def mantissa(typingctx, a):
     """a / 2^exponent(a), in [1, 2)."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -412,7 +412,7 @@ _LOG2_E = 1.4426950408889634
 
 
 @njit(inline="always")
-def exp2_below_one(t):  # type: ignore[no-untyped-def]
+def exp2_below_one(t):
     """2^t for −126 < t ≤ 0; other lanes are undefined, not trapped."""
     n = truncate_to_int(t)
     f = t - to_float(n)
@@ -421,7 +421,7 @@ def exp2_below_one(t):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def exponential(x):  # type: ignore[no-untyped-def]
+def exponential(x):
     """e^x, float32: held within the normal numbers, 1e-38 to 1e38."""
     t = minimum(maximum(x * _LOG2_E, -126.0), 126.0)
     n = floor(t + 0.5)
@@ -431,7 +431,7 @@ def exponential(x):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def log2(a):  # type: ignore[no-untyped-def]
+def log2(a):
     """log₂ of positive normal numbers: exponent, and the artanh series of the mantissa within [1/√2, √2]; 1e-7 absolute below 8."""
     e, m = exponent(a), mantissa(a)
     high = m > 1.4142135

@@ -1,0 +1,174 @@
+"""With geometry, opacity and pose frozen a picture is linear in the Gaussians' colours: `image = W·colors + (1 − α)·background`.
+
+`LinearRender` is W and its transpose for one view, colours taken as they are: no spherical harmonics, no ½ added, no clamp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rtgs.camera import Camera
+from rtgs.gaussians import Gaussians
+from rtgs.geometry import SE3
+from rtgs.render import cpu, reference
+from rtgs.render.cpu.splats import Splats
+from rtgs.render.settings import RenderSettings
+from rtgs.render.view import check
+
+
+class LinearRender:
+    """The linear map from colours to one view's picture, and its transpose.
+
+    What is kept is the view's splats and their lists; the weights themselves (fifty or more a pixel) are computed again at each use,
+    which is faster than reading them from memory (docs/performance.md).
+
+    Args:
+        gaussians: geometry and opacity; its colours are not looked at.
+        channels: C of the colours that will be given.
+        settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
+
+    Raises:
+        RtgsError: the camera has a lens; more channels than the back end composites at once.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        camera_from_world: SE3,
+        *,
+        channels: int = 1,
+        settings: RenderSettings | None = None,
+    ) -> None:
+        settings = settings or RenderSettings()
+        check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
+        self.channels, self.shape = channels, (camera.height, camera.width)
+        self.gaussians = len(gaussians)
+        self._backend: _Cpu | _Reference = (_Cpu if settings.backend == "cpu" else _Reference)(
+            gaussians, camera, camera_from_world, channels, settings
+        )
+        self.alpha: Tensor = self._backend.alpha
+
+    def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
+        """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
+        picture = self._backend.image(colors)
+        return picture if background is None else picture + (1.0 - self.alpha)[..., None] * background
+
+    def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
+        background = torch.einsum("hw,hwc->c", (1.0 - self.alpha).double(), image.double()).to(image.dtype)
+        return self._backend.adjoint(image), background
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that is kept."""
+        return self._backend.nbytes
+
+
+class LinearViews(Sequence[LinearRender]):
+    """`LinearRender` of many views; as many are kept as fit into a budget, the others are made anew at each use.
+
+    Args:
+        camera_from_world: one pose a view.
+        budget_bytes: for all kept views together.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        camera_from_world: Sequence[SE3],
+        *,
+        channels: int = 1,
+        settings: RenderSettings | None = None,
+        budget_bytes: int = 2 << 30,
+    ) -> None:
+        self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings)
+        self._poses = list(camera_from_world)
+        self._kept: dict[int, LinearRender] = {}
+        self._left = budget_bytes
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def __getitem__(self, index: int) -> LinearRender:  # type: ignore[override]
+        index = range(len(self))[index]
+        if index not in self._kept:
+            view = self._make(self._poses[index])
+            if view.nbytes > self._left:
+                return view
+            self._kept[index] = view
+            self._left -= view.nbytes
+        return self._kept[index]
+
+
+class _Cpu:
+    def __init__(
+        self, gaussians: Gaussians, camera: Camera, camera_from_world: SE3, channels: int, settings: RenderSettings
+    ) -> None:
+        cpu.check_channels(channels)
+        model = tuple(
+            np.ascontiguousarray(t.detach().numpy(), dtype=np.float32)
+            for t in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits)
+        )
+        matrix = camera_from_world.matrix()
+        pose = (np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]))
+        nothing, black = np.empty((0, 2), np.float32), np.zeros((len(gaussians), channels), np.float32)
+        self._splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased)  # type: ignore[arg-type]
+        _, alpha, self._used = self._splats.blend()
+        self.alpha = torch.from_numpy(alpha)
+
+    def image(self, colors: Tensor) -> Tensor:
+        self._splats.set_colors(colors.detach().numpy())
+        return torch.from_numpy(self._splats.blend()[0])
+
+    def adjoint(self, image: Tensor) -> Tensor:
+        return torch.from_numpy(self._splats.adjoint(np.ascontiguousarray(image.detach().numpy(), dtype=np.float32), self._used))
+
+    @property
+    def nbytes(self) -> int:
+        return self._splats.nbytes + self.alpha.nbytes
+
+
+class _Reference:
+    def __init__(
+        self, gaussians: Gaussians, camera: Camera, camera_from_world: SE3, channels: int, settings: RenderSettings
+    ) -> None:
+        frozen = gaussians.detach()
+        pose = camera_from_world.to_torch(frozen.means.dtype)
+        self._colors = torch.zeros(len(frozen), channels, dtype=frozen.means.dtype)
+
+        def draw(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            return reference.rasterize(
+                frozen.means,
+                frozen.quats,
+                frozen.log_scales,
+                frozen.opacity_logits,
+                colors,
+                camera,
+                pose,
+                near_plane=settings.near_plane,
+                antialiased=settings.antialiased,
+            )
+
+        self._draw = draw
+        self.alpha = draw(self._colors)[1]
+
+    def image(self, colors: Tensor) -> Tensor:
+        return self._draw(colors.detach())[0]
+
+    def adjoint(self, image: Tensor) -> Tensor:
+        colors = self._colors.clone().requires_grad_()
+        with torch.enable_grad():
+            picture = self._draw(colors)[0]
+        if not picture.requires_grad:
+            return torch.zeros_like(colors)
+        return torch.autograd.grad(picture, colors, image)[0]
+
+    @property
+    def nbytes(self) -> int:
+        return 0
