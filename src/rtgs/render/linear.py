@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from rtgs.camera import Camera
+from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import cpu, reference
@@ -32,7 +33,7 @@ class LinearRender:
         settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
 
     Raises:
-        RtgsError: the camera has a lens; more channels than the back end composites at once.
+        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end.
     """
 
     def __init__(
@@ -46,6 +47,8 @@ class LinearRender:
     ) -> None:
         settings = settings or RenderSettings()
         check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
+        if settings.backend == "cuda":
+            raise RtgsError('render: the "cuda" back end has no linear map; use "cpu".')
         self.channels, self.shape = channels, (camera.height, camera.width)
         self.gaussians = len(gaussians)
         self._backend: _Cpu | _Reference = (_Cpu if settings.backend == "cpu" else _Reference)(

@@ -1,0 +1,114 @@
+"""Colours as a linear map: W and its transpose, against each other and against `render`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rtgs.errors import RtgsError
+from rtgs.geometry import SE3
+from rtgs.render import LinearRender, LinearViews, RenderSettings, render
+from rtgs.sh import C0
+from test_render import POSE, assert_close, cloud, pinhole
+
+BACKENDS = ["cpu", "reference"]
+
+
+def settings(backend: str, **more: object) -> RenderSettings:
+    return RenderSettings(backend=backend, **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_adjoint(backend: str, antialiased: bool, channels: int) -> None:
+    """⟨W·c + (1 − α)·b, y⟩ = ⟨c, Wᵀ·y⟩ + ⟨b, (1 − α)ᵀ·y⟩."""
+    model = cloud(300, size=0.06)
+    dtype = torch.float32 if backend == "cpu" else torch.float64
+    view = LinearRender(
+        model.to(dtype), pinhole(150, 90), POSE, channels=channels, settings=settings(backend, antialiased=antialiased)
+    )
+    g = torch.Generator().manual_seed(1)
+    colors, background = torch.randn(300, channels, generator=g), torch.randn(channels, generator=g)
+    y = torch.randn(90, 150, channels, generator=g)
+    colors, background, y = colors.to(dtype), background.to(dtype), y.to(dtype)
+    image = view.image(colors, background)
+    back, back_background = view.adjoint(y)
+    forwards = (image.double() * y.double()).sum()
+    backwards = (back.double() * colors.double()).sum() + (back_background.double() * background.double()).sum()
+    assert abs(forwards - backwards) <= 1e-6 * image.double().norm() * y.double().norm()
+    assert back.abs().max() > 0.1 and back_background.abs().max() > 0.1
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_image_is_what_render_draws(backend: str) -> None:
+    dtype = torch.float32 if backend == "cpu" else torch.float64
+    model = cloud(200, 0, 3).to(dtype)
+    view = render(model, pinhole(45, 33), POSE, settings=settings(backend))
+    linear = LinearRender(model, pinhole(45, 33), POSE, channels=3, settings=settings(backend))
+    colors = (0.5 + C0 * model.sh[:, 0]).clamp_min(0.0)
+    assert_close(linear.alpha, view.alpha, 1e-6, "alpha")
+    assert_close(linear.image(colors), view.color, 1e-6, "image")
+    background = torch.tensor([0.1, 0.7, 0.4], dtype=dtype)
+    assert_close(linear.image(colors, background), view.over(background), 1e-6, "over a background")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_linear_and_free_of_what_was_drawn_before(backend: str) -> None:
+    model = cloud(100)
+    view = LinearRender(model, pinhole(37, 21), POSE, channels=2, settings=settings(backend))
+    g = torch.Generator().manual_seed(2)
+    a, b = torch.randn(100, 2, generator=g), torch.randn(100, 2, generator=g)
+    sums = 2.0 * view.image(a) - 3.0 * view.image(b)  # negative colours too: nothing is clamped
+    assert_close(view.image(2.0 * a - 3.0 * b), sums, 1e-5, "sum")
+    y = torch.randn(21, 37, 2, generator=g)
+    first = view.adjoint(y)[0]
+    view.image(b)
+    assert torch.equal(view.adjoint(y)[0], first)
+    # Each channel is on its own.
+    assert_close(view.image(a)[..., 1], view.image(a * torch.tensor([7.0, 1.0]))[..., 1], 1e-6, "channel")
+
+
+def test_adjoint_is_the_colours_gradient() -> None:
+    model, camera = cloud(150, 0, 3), pinhole(37, 21)
+    sh = model.sh.clone().requires_grad_()
+    y = torch.randn(21, 37, 3, generator=torch.Generator().manual_seed(3))
+    (render(replace(model, sh=sh), camera, POSE).color * y).sum().backward()
+    back, _ = LinearRender(model, camera, POSE, channels=3).adjoint(y)
+    shown = (0.5 + C0 * model.sh[:, 0]) > 0
+    assert_close(sh.grad[:, 0], C0 * back * shown, 1e-5, "gradient")
+
+
+def test_views_keep_what_fits_and_give_the_same_either_way() -> None:
+    model, camera = cloud(200, size=0.05), pinhole(70, 50)
+    poses = [SE3(POSE.rotation, POSE.translation + torch.tensor([0.1 * k, 0.0, 0.0])) for k in range(4)]
+    one = LinearRender(model, camera, poses[0])
+    everything, some = LinearViews(model, camera, poses), LinearViews(model, camera, poses, budget_bytes=int(2.5 * one.nbytes))
+    assert len(everything) == 4 and one.nbytes > 0
+    colors = torch.randn(200, 1, generator=torch.Generator().manual_seed(4))
+    for _ in range(2):
+        for a, b in zip(everything, some, strict=True):
+            assert torch.equal(a.image(colors), b.image(colors))
+    kept = [some[k] is some[k] for k in range(4)]
+    assert kept == [True, True, False, False] and everything[3] is everything[-1]
+    with pytest.raises(IndexError):
+        some[4]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_no_gaussian(backend: str) -> None:
+    view = LinearRender(cloud(0), pinhole(20, 18), POSE, settings=settings(backend))
+    assert not view.image(torch.zeros(0, 1)).any() and not view.alpha.any()
+    back, background = view.adjoint(torch.ones(18, 20, 1))
+    assert back.shape == (0, 1) and background.item() == 360.0
+
+
+def test_what_cannot_be_done_is_refused() -> None:
+    with pytest.raises(RtgsError, match="undistort"):
+        LinearRender(cloud(3), replace(pinhole(20, 20), model="OPENCV"), POSE)
+    with pytest.raises(RtgsError, match=r"9 channels.*8"):
+        LinearRender(cloud(3), pinhole(20, 20), POSE, channels=9)
+    with pytest.raises(RtgsError, match=r"cuda"):
+        LinearRender(cloud(3), pinhole(20, 20), POSE, settings=RenderSettings(backend="cuda"))
