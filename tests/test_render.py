@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -647,18 +648,26 @@ def test_repetition_is_bit_identical() -> None:
         assert torch.equal(a, b)
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="Numba was started with one thread")
 def test_the_number_of_threads_is_invisible() -> None:
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = all_bits(cloud(500))
-        numba.set_num_threads(2)
-        two = all_bits(cloud(500))
-    finally:
-        numba.set_num_threads(before)
-    for a, b in zip(one, two, strict=True):
-        assert torch.equal(a, b)
+    # Numba takes its number of threads when it starts, and this process may have one: a process of its own with four.
+    program = """
+import sys, numba, torch
+sys.path.insert(0, sys.argv[1])
+from test_render import all_bits, cloud
+results = []
+for threads in (1, 2, 3, 4):
+    numba.set_num_threads(threads)
+    results.append(all_bits(cloud(500)))
+assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
+print("the same")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(Path(__file__).parent)],
+        env={**os.environ, "NUMBA_NUM_THREADS": "4"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.strip() == "the same", done.stderr
 
 
 # --- against gsplat's own PyTorch functions --------------------------------------------------------
