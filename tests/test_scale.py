@@ -24,6 +24,7 @@ from rtgs.render import RenderSettings, render
 from rtgs.scale import Objective, ScaleEstimate, estimate_scale
 from rtgs.scale.bracket import bracket, flow_per_unit
 from rtgs.scale.estimate import _scan, adam, bootstrap, curve_minimum
+from rtgs.scale.objective import reduced
 from rtgs.scene import Capture, Frame, Rig, Scene, SparsePoints
 from rtgs.sh import C0
 
@@ -173,6 +174,41 @@ def test_slope_of_the_cpu_back_end(theta: float) -> None:
         # And by the loss itself: its float32 noise is 1e-6 and its jumps even out over a step of 5e-3.
         secant = (fast.loss(frame, theta + 5e-3) - fast.loss(frame, theta - 5e-3)) / 1e-2
         assert slope == pytest.approx(secant, rel=0.25, abs=0.05)
+
+
+@pytest.mark.parametrize("reference", [False, True])
+@pytest.mark.parametrize("theta", [-0.3, 0.02])
+def test_forward_mode_equals_reverse_mode(theta: float, reference: bool) -> None:
+    scene, model = synthetic()
+    loss = objective(scene, model, 0.05, reference=reference)
+    for frame in (0, 1):
+        (value, slope), expected = loss.loss_and_slope(frame, theta), loss.loss_and_slope_in_reverse(frame, theta)
+        assert value == pytest.approx(expected[0], abs=1e-12 if reference else 1e-5)
+        # float32: a slope is a sum of 2000 terms that largely cancel.
+        assert slope == pytest.approx(expected[1], rel=1e-9 if reference else 2e-3, abs=1e-9 if reference else 2e-4)
+
+
+def test_curvature_is_that_of_the_residuals_in_both_back_ends() -> None:
+    scene, model = synthetic()
+    fast, slow = (objective(scene, model, 0.05, reference=r) for r in (False, True))
+    for theta in (-0.3, 0.02):
+        found, expected = fast.evaluate(0, theta), slow.evaluate(0, theta)
+        assert expected.curvature > 1.0
+        assert found.curvature == pytest.approx(expected.curvature, rel=5e-3)
+        assert (found.loss, found.slope) == fast.loss_and_slope(0, theta)
+
+
+def test_a_reduced_objective_compares_pictures_drawn_small() -> None:
+    scene, model = synthetic()
+    small = Objective(
+        scene, model.gaussians, model.background, model.settings, scene.train_frames[:2],
+        level_weights=(1.0,), epsilon=0.05, reduction=3,
+    )  # fmt: skip
+    camera = reduced(RIG.thermal, 3)
+    assert (camera.width, camera.height) == (18, 14) and small.gray(0, torch.tensor(0.0)).shape == (14, 18)
+    # 56 = 3 · 18 + 2: the focal length is a third all the same, and a ray keeps its block.
+    assert camera.fl_x == RIG.thermal.fl_x / 3 and camera.cy == RIG.thermal.cy / 3
+    assert small.loss(0, 0.0) < small.loss(0, 0.5)
 
 
 def test_the_loss_falls_towards_the_truth_from_both_sides() -> None:

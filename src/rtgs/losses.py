@@ -6,7 +6,8 @@ between the modalities costs nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -40,13 +41,14 @@ def ngf_loss(a: Tensor, b: Tensor, *, epsilon: float = PAPER_EPSILON, mask: Tens
 @dataclass(frozen=True, eq=False)
 class _Level:
     gradient: Tensor  # [2, h, w], zero outside the mask
+    valid: Tensor  # [h, w] bool
     pixels: int
 
     @staticmethod
     def of(image: Tensor, epsilon: float, mask: Tensor) -> _Level:
         valid = erode_for_sobel(mask)
         gradient = normalized_gradient(image, epsilon)
-        return _Level(torch.where(valid, gradient, torch.zeros_like(gradient)), int(valid.sum()))  # not a product: NaN · 0
+        return _Level(torch.where(valid, gradient, torch.zeros_like(gradient)), valid, int(valid.sum()))  # not a product: NaN · 0
 
     def loss(self, gradient: Tensor) -> Tensor:
         # A pixel outside the mask contributes 0 to the sum and is not counted.
@@ -63,7 +65,7 @@ class NgfPyramid:
 
     levels: tuple[_Level, ...]
     level_weights: tuple[float, ...]
-    epsilon: float
+    render_epsilons: tuple[float, ...]
 
     @staticmethod
     def of(
@@ -71,7 +73,8 @@ class NgfPyramid:
         mask: Tensor | None = None,
         *,
         level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS,
-        epsilon: float = PAPER_EPSILON,
+        epsilon: float | tuple[float, ...] = PAPER_EPSILON,
+        render_epsilon: float | tuple[float, ...] | None = None,
     ) -> NgfPyramid:
         """Prepare the target.
 
@@ -79,17 +82,44 @@ class NgfPyramid:
             image: `[H, W]`.
             mask: `[H, W]` bool, pixels where the loss counts. It belongs to the image, so it does not follow the scale.
             level_weights: w_l, level 0 the finest; one level makes the single-scale loss.
+            epsilon: ε of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the image's.
         """
         if mask is None:
             mask = torch.ones_like(image, dtype=torch.bool)
-        levels = tuple(
-            _Level.of(downsample(image, 2**l), epsilon, downsample_mask(mask, 2**l)) for l in range(len(level_weights))
+        count = len(level_weights)
+        own = (epsilon,) * count if isinstance(epsilon, float) else epsilon
+        other = (
+            own if render_epsilon is None else (render_epsilon,) * count if isinstance(render_epsilon, float) else render_epsilon
         )
-        return NgfPyramid(levels, level_weights, epsilon)
+        levels = tuple(_Level.of(downsample(image, 2**l), own[l], downsample_mask(mask, 2**l)) for l in range(count))
+        return NgfPyramid(levels, level_weights, other)
+
+    def to(self, dtype: torch.dtype) -> NgfPyramid:
+        """The same target in another floating type."""
+        levels = tuple(replace(level, gradient=level.gradient.to(dtype)) for level in self.levels)
+        return replace(self, levels=levels)
 
     def __call__(self, render: Tensor) -> Tensor:
         """Σ_l w_l ℓ_NGF(D_l A, D_l B) / Σ_l w_l for a render A `[H, W]`."""
         total = torch.zeros((), dtype=render.dtype)
         for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
-            total = total + weight * level.loss(normalized_gradient(downsample(render, 2**l), self.epsilon))
+            total = total + weight * level.loss(normalized_gradient(downsample(render, 2**l), self.render_epsilons[l]))
         return total / sum(self.level_weights)
+
+    def residuals(self, render: Tensor) -> Tensor:
+        """`[M]`: the vector whose squared norm is Eq. 7; what Gauss–Newton works on.
+
+        Two numbers a pixel and level, n_A × n_B and √(1 − ‖n_A‖²‖n_B‖²): their squares sum to 1 − (n_A · n_B)² (Lagrange's identity).
+        The cross product alone would be zero for a blank render.
+        """
+        parts = []
+        for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
+            n, m = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l]), level.gradient
+            share = math.sqrt(weight / sum(self.level_weights) / max(level.pixels, 1))
+            if not level.pixels:  # costs 1 whatever the render
+                parts.append(torch.full((1,), share, dtype=render.dtype))
+                continue
+            cross = (n[0] * m[1] - n[1] * m[0])[level.valid]
+            rest = (1.0 - n.square().sum(0) * m.square().sum(0))[level.valid].clamp_min(0.0)
+            parts += [share * cross, share * rest.sqrt()]
+        return torch.cat(parts)

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.camera import Camera
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
-from rtgs.image import GRAY_WEIGHTS, to_gray
+from rtgs.image import GRAY_WEIGHTS, downsample, downsample_mask, to_gray
 from rtgs.losses import NgfPyramid
-from rtgs.render import RenderSettings, render
+from rtgs.ngf import FusedNgf
+from rtgs.render import Direction, RenderSettings, render, render_with_tangents
 from rtgs.scene import Frame, Scene
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One frame's loss at a scale, its derivative by θ, and the Gauss–Newton curvature 2·JᵀJ of the same residuals."""
+
+    loss: float
+    slope: float
+    curvature: float
 
 
 class Objective:
@@ -25,7 +37,10 @@ class Objective:
         scene: rig, poses and thermal images.
         gaussians, background, settings: the RGB model.
         frames: which frames; training frames only.
-        level_weights, epsilon: of Eqs. 5 and 7.
+        level_weights: of Eq. 7, beginning with the level of the pictures compared.
+        epsilon: of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the thermal image's.
+        reduction: compare pictures reduced by this factor: rendered small, not rendered and shrunk.
+        thermal: frame name → image `[h, w]` to use instead of the frame's own.
     """
 
     def __init__(
@@ -37,48 +52,103 @@ class Objective:
         frames: Sequence[Frame],
         *,
         level_weights: tuple[float, ...],
-        epsilon: float,
+        epsilon: float | tuple[float, ...],
+        render_epsilon: float | tuple[float, ...] | None = None,
+        reduction: int = 1,
+        thermal: Mapping[str, NDArray[np.float32]] | None = None,
     ) -> None:
         self.frames = tuple(frames)
+        self.renders = 0
         self._gaussians = gaussians
         self._dtype = gaussians.means.dtype
         self._background = to_gray(background).to(self._dtype)
         self._settings = replace(settings, with_depth=False, channel_weights=GRAY_WEIGHTS)
-        self._camera: Camera = scene.rig.thermal
+        self._camera: Camera = reduced(scene.rig.thermal, reduction)
         self._rgb_from_thermal = scene.rig.rgb_from_thermal.to_torch(torch.float64)
         self._world_from_rgb = [scene.world_from_rgb[f.name].to_torch(torch.float64) for f in frames]
-        mask = torch.from_numpy(np.ascontiguousarray(scene.capture.thermal_mask))
-        lo, hi = thermal_range([f.thermal[scene.capture.thermal_mask] for f in frames], 0.0)
-        self._targets = [
-            NgfPyramid.of(
-                torch.from_numpy(np.where(scene.capture.thermal_mask, (f.thermal - lo) / (hi - lo), 0.0)).to(self._dtype),
-                mask,
+        valid = scene.capture.thermal_mask
+        mask = torch.from_numpy(np.ascontiguousarray(valid))
+        images = [f.thermal if thermal is None else thermal[f.name] for f in frames]
+        lo, hi = thermal_range([image[valid] for image in images], 0.0)
+        # A target in float64 keeps 1 − ‖n‖² exact for the fused kernels; the torch path computes in the model's own type.
+        fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
+        self._pyramids = []
+        for image in images:
+            scaled = torch.from_numpy(np.where(valid, (image - lo) / (hi - lo), 0.0)).to(torch.float64 if fused else self._dtype)
+            pyramid = NgfPyramid.of(
+                downsample(scaled, reduction),
+                downsample_mask(mask, reduction),
                 level_weights=level_weights,
                 epsilon=epsilon,
+                render_epsilon=render_epsilon,
             )
-            for f in frames
-        ]
+            self._pyramids.append(pyramid)
+        self._fused = [FusedNgf.of(pyramid) for pyramid in self._pyramids] if fused else None
 
     def gray(self, index: int, theta: Tensor) -> Tensor:
         """Î_i^gray(s) `[h, w]` (Eqs. 1–3), differentiable in θ (a float64 scalar)."""
-        world_from_thermal = self._world_from_rgb[index] @ self._rgb_from_thermal.with_baseline_scaled(torch.exp(theta))  # Eq. 1
-        pose: SE3 = world_from_thermal.inverse()
-        view = render(self._gaussians, self._camera, pose, settings=self._settings)
+        self.renders += 1
+        view = render(self._gaussians, self._camera, self._pose(index, theta), settings=self._settings)
         return view.color[..., 0] + (1.0 - view.alpha) * self._background
 
     def loss(self, index: int, theta: float) -> float:
         """Eq. 7 for one frame."""
         with torch.no_grad():
-            return float(self._targets[index](self.gray(index, torch.tensor(theta, dtype=torch.float64))))
+            gray = self.gray(index, torch.tensor(theta, dtype=torch.float64))
+            return self._fused[index].loss(gray.numpy()) if self._fused else float(self._pyramids[index](gray))
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
-        """Eq. 7 for one frame and its derivative by θ, through the renderer and the pose."""
+        """Eq. 7 for one frame and its derivative by θ: in forward mode where the back end has it."""
+        if self._settings.backend == "cuda":
+            return self.loss_and_slope_in_reverse(index, theta)
+        result = self.evaluate(index, theta)
+        return result.loss, result.slope
+
+    def loss_and_slope_in_reverse(self, index: int, theta: float) -> tuple[float, float]:
+        """The same two numbers through autograd, the renderer and the pose."""
         t = torch.tensor(theta, dtype=torch.float64, requires_grad=True)
-        loss = self._targets[index](self.gray(index, t))
+        loss = self._pyramids[index].to(self._dtype)(self.gray(index, t))
         if not loss.requires_grad:
             return loss.item(), 0.0
         loss.backward()
         return loss.item(), t.grad.item() if t.grad is not None else 0.0
+
+    def evaluate(self, index: int, theta: float) -> Evaluation:
+        """Loss, slope and Gauss–Newton curvature from one picture and its tangent.
+
+        Raises:
+            RtgsError: the "cuda" back end, which has no forward mode.
+        """
+        s = math.exp(theta)
+        pose = self._pose(index, torch.tensor(theta, dtype=torch.float64))
+        # x_thermal = Rᵀ(x_rgb − s·t), so ∂x_thermal/∂ln s = −s·Rᵀt.
+        shift = -s * (self._rgb_from_thermal.rotation.T @ self._rgb_from_thermal.translation)
+        way = Direction(translation=(float(shift[0]), float(shift[1]), float(shift[2])))
+        self.renders += 1
+        view, tangents = render_with_tangents(self._gaussians, self._camera, pose, [way], settings=self._settings)
+        gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
+        rates = tangents.over(self._background[None])[..., 0]
+        if self._fused:
+            products = self._fused[index].products(gray.numpy(), rates.numpy())
+            return Evaluation(products.loss, float(products.slope[0]), float(products.curvature[0, 0]))
+        loss, slope = along(self._pyramids[index], gray, rates[0])
+        _, change = along(self._pyramids[index].residuals, gray, rates[0])
+        return Evaluation(float(loss), float(slope), 2.0 * float(change @ change))
+
+    def _pose(self, index: int, theta: Tensor) -> SE3:
+        return (self._world_from_rgb[index] @ self._rgb_from_thermal.with_baseline_scaled(torch.exp(theta))).inverse()  # Eq. 1
+
+
+def along(function: Callable[[Tensor], Tensor], at: Tensor, way: Tensor) -> tuple[Tensor, Tensor]:
+    """The function at a point, and its derivative along one way."""
+    value, rate = torch.func.jvp(function, (at,), (way,))  # type: ignore[misc]
+    return value, rate
+
+
+def reduced(camera: Camera, factor: int) -> Camera:
+    """The camera of `image.downsample(picture, factor)`: whole blocks only, so its size may round down but its focal length not."""
+    parameters = {k: getattr(camera, k) / factor for k in ("fl_x", "fl_y", "cx", "cy")}
+    return replace(camera, width=camera.width // factor, height=camera.height // factor, **parameters)
 
 
 def thermal_range(images: Sequence[np.ndarray], percentile: float) -> tuple[float, float]:

@@ -1,0 +1,168 @@
+"""Eq. 7 with its derivatives along tangent pictures, in one fused pass on the CPU.
+
+`losses.NgfPyramid` is the specification; these Numba kernels (float32, sums over rows in float64) are tested against it. A scale is
+found by thousands of evaluations of the loss along *one* direction, so the gradient by the picture is never formed: the Sobel filters
+run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once.
+
+**Letters.** g = ∇A, h = ∇Ȧ, q = 1/(‖g‖² + ε²), n = g·√q, m = n_B. With p = g·h: ṅ = √q·(h − g·p·q). The residual pair of
+`NgfPyramid.residuals` is c = n × m and e = √(1 − ‖n‖²‖m‖²), and with u = 1 − ‖n‖² = ε²·q and v = 1 − ‖m‖², without cancellation,
+
+    e² = u + v − u·v,    ė = −‖m‖²·p·q·u / e.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from rtgs.losses import NgfPyramid
+
+F = np.float32
+_BAND = 16  # rows a thread takes at a time
+_LEAST_E2 = F(1e-20)
+
+
+@dataclass(frozen=True)
+class Products:
+    """A loss and its derivatives along K tangents: `loss`, `slope` `[K]`, and the Gauss–Newton matrix 2·JᵀJ `[K, K]`."""
+
+    loss: float
+    slope: NDArray[np.float64]
+    curvature: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FusedNgf:
+    """Eq. 7 against one fixed image, for float32 pictures. Build with `FusedNgf.of`."""
+
+    targets: tuple[NDArray[np.float32], ...]  # [3, h, w] a level: m and v
+    shares: tuple[float, ...]  # w_l / (Σ w · pixels)
+    epsilons: tuple[float, ...]
+
+    @staticmethod
+    def of(pyramid: NgfPyramid) -> FusedNgf:
+        """Take a target over; a pyramid built in float64 keeps v exact where ε is small."""
+        targets, shares = [], []
+        total = sum(pyramid.level_weights)
+        for level, weight in zip(pyramid.levels, pyramid.level_weights, strict=True):
+            m = level.gradient
+            plane = [m[0], m[1], 1.0 - m.square().sum(0)]
+            targets.append(np.stack([t.numpy() for t in plane]).astype(np.float32))
+            shares.append(weight / total / max(level.pixels, 1))
+        return FusedNgf(tuple(targets), tuple(shares), pyramid.render_epsilons)
+
+    def loss(self, image: NDArray[np.float32]) -> float:
+        """Eq. 7 of `[H, W]` float32."""
+        agreement = 0.0
+        for level, target in enumerate(self.targets):
+            image = image if level == 0 else _halved(image[None])[0]
+            agreement += self.shares[level] * _agreement(image, target, F(self.epsilons[level] ** 2)).sum()
+        return float(1.0 - agreement)
+
+    def products(self, image: NDArray[np.float32], tangents: NDArray[np.float32]) -> Products:
+        """Eq. 7 of `[H, W]` with its derivatives along the tangents `[K, H, W]`."""
+        stack = np.concatenate([image[None], tangents])
+        k = len(tangents)
+        sums = np.zeros(1 + k + k * k)
+        for level, target in enumerate(self.targets):
+            stack = stack if level == 0 else _halved(stack)
+            sums += self.shares[level] * _products(stack, target, F(self.epsilons[level] ** 2)).sum(axis=0)
+        return Products(float(1.0 - sums[0]), -2.0 * sums[1 : 1 + k], 2.0 * sums[1 + k :].reshape(k, k))
+
+
+# --- kernels ---
+
+_FAST = {"nsz", "arcp", "contract", "reassoc", "afn"}
+_ORDERED = {"nsz", "contract"}  # sums as written: the Sobel filters of a flat picture are exactly zero
+
+
+@njit(fastmath=_ORDERED, cache=True, parallel=True)
+def _halved(stack):  # type: ignore[no-untyped-def]
+    """Means over 2 × 2 blocks of `[K, H, W]`."""
+    count, height, width = stack.shape[0], stack.shape[1] // 2, stack.shape[2] // 2
+    out = np.empty((count, height, width), np.float32)
+    for row in prange(count * height):
+        k, y = row // height, row % height
+        upper, lower, to = stack[k, 2 * y], stack[k, 2 * y + 1], out[k, y]
+        for x in range(width):
+            to[x] = F(0.25) * ((upper[2 * x] + upper[2 * x + 1]) + (lower[2 * x] + lower[2 * x + 1]))
+    return out
+
+
+@njit(fastmath=_ORDERED, cache=True)
+def _gradient_row(above, middle, below, gx, gy):  # type: ignore[no-untyped-def]
+    for x in range(len(gx)):
+        gx[x] = (above[x + 2] - above[x]) + F(2.0) * (middle[x + 2] - middle[x]) + (below[x + 2] - below[x])
+        gy[x] = (below[x] - above[x]) + F(2.0) * (below[x + 1] - above[x + 1]) + (below[x + 2] - above[x + 2])
+
+
+@njit(fastmath=_FAST, cache=True)
+def _agreement_row(gx, gy, mx, my, epsilon2):  # type: ignore[no-untyped-def]
+    total = F(0.0)
+    for x in range(len(gx)):
+        dot = gx[x] * mx[x] + gy[x] * my[x]
+        total += dot * dot / (gx[x] * gx[x] + gy[x] * gy[x] + epsilon2)
+    return total
+
+
+@njit(fastmath=_FAST, cache=True, parallel=True)
+def _agreement(image, target, epsilon2):  # type: ignore[no-untyped-def]
+    """`[rows]`: Σ (n · m)² over each row."""
+    rows, columns = target.shape[1], target.shape[2]
+    sums = np.zeros(rows)
+    for band in prange((rows + _BAND - 1) // _BAND):
+        gx, gy = np.empty(columns, np.float32), np.empty(columns, np.float32)
+        for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
+            _gradient_row(image[y], image[y + 1], image[y + 2], gx, gy)
+            sums[y] = _agreement_row(gx, gy, target[0, y], target[1, y], epsilon2)
+    return sums
+
+
+@njit(fastmath=_FAST, cache=True)
+def _tangent_row(gx, gy, hx, hy, mx, my, v, epsilon2, cross, rest):  # type: ignore[no-untyped-def]
+    """Fill ċ and ė of a row; return Σ (n · m)(ṅ · m)."""
+    total = F(0.0)
+    for x in range(len(gx)):
+        p = gx[x] * hx[x] + gy[x] * hy[x]
+        q = F(1.0) / (gx[x] * gx[x] + gy[x] * gy[x] + epsilon2)
+        wx, wy = hx[x] - gx[x] * p * q, hy[x] - gy[x] * p * q  # ṅ / √q
+        total += q * (gx[x] * mx[x] + gy[x] * my[x]) * (wx * mx[x] + wy * my[x])
+        cross[x] = np.sqrt(q) * (wx * my[x] - wy * mx[x])
+        u = epsilon2 * q
+        rest[x] = (v[x] - F(1.0)) * p * q * u / np.sqrt(max(u + v[x] - u * v[x], _LEAST_E2))
+    return total
+
+
+@njit(fastmath=_FAST, cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    total = F(0.0)
+    for x in range(len(a)):
+        total += a[x] * b[x]
+    return total
+
+
+@njit(fastmath=_FAST, cache=True, parallel=True)
+def _products(stack, target, epsilon2):  # type: ignore[no-untyped-def]
+    """`[rows, 1 + K + K²]`: over each row, Σ (n · m)², Σ (n · m)(ṅ · m) and Σ JᵀJ. `stack`: the render and its tangents."""
+    rows, columns = target.shape[1], target.shape[2]
+    ways = stack.shape[0] - 1
+    sums = np.zeros((rows, 1 + ways + ways * ways))
+    for band in prange((rows + _BAND - 1) // _BAND):
+        row = np.empty((4, columns), np.float32)
+        residual = np.empty((2 * ways, columns), np.float32)
+        gx, gy, hx, hy = row[0], row[1], row[2], row[3]
+        for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
+            mx, my, v = target[0, y], target[1, y], target[2, y]
+            _gradient_row(stack[0, y], stack[0, y + 1], stack[0, y + 2], gx, gy)
+            sums[y, 0] = _agreement_row(gx, gy, mx, my, epsilon2)
+            for k in range(ways):
+                _gradient_row(stack[k + 1, y], stack[k + 1, y + 1], stack[k + 1, y + 2], hx, hy)
+                sums[y, 1 + k] = _tangent_row(gx, gy, hx, hy, mx, my, v, epsilon2, residual[2 * k], residual[2 * k + 1])
+                for j in range(k + 1):
+                    product = _dot(residual[2 * j], residual[2 * k]) + _dot(residual[2 * j + 1], residual[2 * k + 1])
+                    sums[y, 1 + ways + j * ways + k] = product
+                    sums[y, 1 + ways + k * ways + j] = product
+    return sums
