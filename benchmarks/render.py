@@ -1,41 +1,73 @@
-"""The renderer's milliseconds: a random cloud of 100,000 Gaussians with SH of degree 3, as NeRF-Synthetic's camera sees it.
+"""The renderer's milliseconds, its rivals', and what they have to be.
 
-    python benchmarks/render.py [--sizes 400 800 --gaussians 100000 --threads 1 --repeats 7]
-        [--reference-size 64 --reference-gaussians 2000] [--rival FOLDER]
+    python benchmarks/render.py [--only times rival threads ...] [--rival mitsuba_rf=PYTHON] [--repeats 7]
 
-Prints a Markdown table of medians, the difference and the ratio to the PyTorch reference on a smaller case (at full size it would
-take minutes and gigabytes), and peak memory. `--rival` names a folder with a `torch_rival.py` whose
-`render(means, quats, scales, opacities, sh, camera_from_world, K, width, height)` draws the scene with gsplat's PyTorch functions.
+The scene is a random cloud of 100,000 Gaussians with SH of degree 3, as NeRF-Synthetic's camera sees it. Prints a Markdown table a
+section, and at the end the acceptance table. Every section runs in a process of its own with the threads, cores and instruction set
+that it is about; what is compared there takes turns, so that a drift of the machine cancels. One core: milliseconds are medians of the
+process's processor time, which other jobs on the machine do not lengthen. Two cores: of wall time.
+
+Rivals run in their own processes (`benchmarks/rivals`): `gsplat_torch` in this interpreter (the package's `dev` extra), others where
+`--rival NAME=PYTHON` gives the interpreter that has them. RTGS_PROTOTYPES names a folder with a `torch_rival.py` to be measured beside.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import platform
+import re
 import resource
 import statistics
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import rtgs  # first: it sets how OpenMP's idle threads wait  # isort: skip
 import numba
 import numpy as np
 import torch
 from torch import Tensor
 
-from rtgs import __version__
+import render_floor
 from rtgs.camera import Camera
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.image import GRAY_WEIGHTS
-from rtgs.render import Backend, RenderSettings, render
+from rtgs.render import Direction, LinearRender, RenderSettings, render, render_with_tangents
 from rtgs.sh import C0
 
+Numbers = dict[str, Any]
 FIELD_OF_VIEW_RAD = 0.6911112  # NeRF-Synthetic's
+ALL_FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")
+GRAY = RenderSettings(channel_weights=GRAY_WEIGHTS)
+# Numba adds the host's features to any CPU name unless it is told features; without the foundation no AVX-512 is left.
+AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "-avx512f"}
+# Stage → where its compiled function is called from. The timer takes its place there.
+STAGES = {
+    "SH": ("rtgs.render.cpu.sh", "evaluate"),
+    "projection": ("rtgs.render.cpu.projection", "project"),
+    "sort": ("rtgs.render.cpu.tiles", "depth_order"),
+    "binning": ("rtgs.render.cpu.tiles", "bin_splats"),
+    "blend": ("rtgs.render.cpu.splats", "blend"),
+    "blend, backward": ("rtgs.render.cpu.splats", "blend_backward"),
+    "projection, backward": ("rtgs.render.cpu.projection", "project_backward"),
+    "SH, backward": ("rtgs.render.cpu.sh", "evaluate_backward"),
+    "optimiser": ("rtgs.optim", "_update"),
+}
+
+
+# --- the scene -------------------------------------------------------------------------------------
 
 
 def random_cloud(n: int, seed: int = 0) -> Gaussians:
@@ -50,87 +82,60 @@ def random_cloud(n: int, seed: int = 0) -> Gaussians:
     return Gaussians(*(torch.tensor(a, dtype=torch.float32) for a in arrays))
 
 
-def view(size: int) -> tuple[Camera, SE3]:
-    """A square picture from 2.6 units away, looking at the middle; y is up."""
-    focal = 0.5 * size / math.tan(0.5 * FIELD_OF_VIEW_RAD)
+def view(width: int, height: int | None = None) -> tuple[Camera, SE3]:
+    """A picture (square unless a height is given) from 2.6 units away, looking at the middle; y is up."""
+    height = height or width
+    focal = 0.5 * width / math.tan(0.5 * FIELD_OF_VIEW_RAD)
     eye = np.array([1.2, 0.9, 1.8])
     eye *= 2.6 / np.linalg.norm(eye)
     forward = -eye / np.linalg.norm(eye)
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera("PINHOLE", size, size, focal, focal, size / 2, size / 2), SE3(rotation, -rotation @ eye)
+    return Camera("PINHOLE", width, height, focal, focal, width / 2, height / 2), SE3(rotation, -rotation @ eye)
 
 
-def median_ms(function: Callable[[], object], repeats: int) -> float:
-    function()  # compiles, or reads the compiled code
-    samples = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        samples.append(1e3 * (time.perf_counter() - start))
-    return statistics.median(samples)
+def loss_weights(width: int, height: int) -> Tensor:
+    return torch.randn(height, width, 3, generator=torch.Generator().manual_seed(7))
 
 
-def picture(model: Gaussians, size: int, backend: Backend, channel_weights: tuple[float, ...] | None = None) -> Tensor:
-    camera, camera_from_world = view(size)
-    settings = RenderSettings(backend=backend, channel_weights=channel_weights)
-    return render(model, camera, camera_from_world, settings=settings).color
+# --- what is timed ---------------------------------------------------------------------------------
 
 
-def backward_of(model: Gaussians, size: int, backend: Backend, fields: tuple[str, ...]) -> Callable[[], None]:
-    """Forward and backward, with gradients for `fields` of the model."""
-    leaves = {k: v.clone().requires_grad_(k in fields) for k, v in model.tensors().items()}
-    weights = torch.randn(size, size, 3, generator=torch.Generator().manual_seed(7))
-
-    def run() -> None:
-        for leaf in leaves.values():
-            leaf.grad = None
-        (picture(Gaussians(**leaves), size, backend) * weights).sum().backward()
+def forward(model: Gaussians, camera: Camera, pose: SE3, settings: RenderSettings | None = None) -> Callable[[], Tensor]:
+    def run() -> Tensor:
+        with torch.no_grad():
+            return render(model, camera, pose, settings=settings).color
 
     return run
 
 
-@torch.no_grad()
-def forward(model: Gaussians, size: int, backend: Backend, channel_weights: tuple[float, ...] | None = None) -> Tensor:
-    return picture(model, size, backend, channel_weights)
+def both(model: Gaussians, camera: Camera, pose: SE3, fields: tuple[str, ...] = ALL_FIELDS) -> Callable[[], dict[str, Tensor]]:
+    """Forward and backward; gives the image and the gradients of `fields`. No field: of the pose."""
+    leaves = {k: v.clone().requires_grad_(k in fields) for k, v in model.tensors().items()}
+    moving = pose.to_torch(torch.float32)
+    parts = [moving.rotation, moving.translation]
+    wanted = [leaves[k] for k in fields] or [part.requires_grad_() for part in parts]
+    weights = loss_weights(camera.width, camera.height)
+
+    def run() -> dict[str, Tensor]:
+        image = render(Gaussians(**leaves), camera, SE3(*parts) if not fields else pose).color
+        gradients = torch.autograd.grad((image * weights).sum(), wanted)
+        return {"image": image.detach(), **dict(zip(fields or ("rotation", "translation"), gradients, strict=True))}
+
+    return run
 
 
-ALL_FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")
-
-
-def timings(model: Gaussians, size: int, backend: Backend, repeats: int) -> dict[str, float]:
-    return {
-        "forward": median_ms(lambda: forward(model, size, backend), repeats),
-        "forward, gray": median_ms(lambda: forward(model, size, backend, GRAY_WEIGHTS), repeats),
-        "forward and backward": median_ms(backward_of(model, size, backend, ALL_FIELDS), repeats),
-        "forward and backward, colours only": median_ms(backward_of(model, size, backend, ("sh",)), repeats),
-    }
-
-
-def rival_timings(folder: Path, model: Gaussians, size: int, repeats: int, threads: int) -> tuple[dict[str, float], Tensor]:
-    sys.path.insert(0, str(folder.resolve()))
-    rival = import_module("torch_rival").render
-    torch.set_num_threads(threads)  # its import sets one
-    camera, pose = view(size)
-    matrix = torch.tensor(pose.matrix(), dtype=torch.float32)
-    intrinsics = torch.tensor(camera.matrix, dtype=torch.float32)
-    leaves = [x.clone().requires_grad_() for x in (model.means, model.quats, model.log_scales, model.opacity_logits, model.sh)]
-    weights = torch.randn(size, size, 3, generator=torch.Generator().manual_seed(7))
-
-    def run() -> Tensor:
-        means, quats, log_scales, logits, sh = leaves
-        image: Tensor = rival(means, quats, log_scales.exp(), logits.sigmoid(), sh, matrix, intrinsics, size, size)[..., :3]
-        return image
-
-    def run_backward() -> None:
-        for leaf in leaves:
-            leaf.grad = None
-        (run() * weights).sum().backward()
-
-    with torch.no_grad():
-        image, ms = run(), median_ms(run, repeats)
-    return {"forward": ms, "forward and backward": median_ms(run_backward, repeats)}, image
+def take_turns(calls: dict[str, Callable[[], object]], repeats: int, wall: bool = False) -> dict[str, float]:
+    """Median milliseconds of each call: all in turn, `repeats` times, after one turn that compiles and touches memory."""
+    clock = time.perf_counter if wall else time.process_time
+    samples: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(repeats + 1):
+        for name, call in calls.items():
+            start = clock()
+            call()
+            samples[name].append(1e3 * (clock() - start))
+    return {name: statistics.median(ms[1:]) for name, ms in samples.items()}
 
 
 def peak_mib() -> float:
@@ -138,64 +143,516 @@ def peak_mib() -> float:
     return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
 
 
-def print_table(columns: dict[str, dict[str, float]]) -> None:
-    rows = list(dict.fromkeys(row for column in columns.values() for row in column))
-    print("| ms | " + " | ".join(columns) + " |\n|---|" + "---:|" * len(columns))
+# --- measurements, each made in a process of its own ------------------------------------------------
+
+
+def measure_times(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
+    model, calls = random_cloud(gaussians), {}
+    for size in sizes:
+        camera, pose = view(size)
+        calls[f"forward|{size}"] = forward(model, camera, pose)
+        calls[f"forward, gray|{size}"] = forward(model, camera, pose, GRAY)
+        calls[f"forward and backward, all parameters|{size}"] = both(model, camera, pose)
+        calls[f"forward and backward, colours|{size}"] = both(model, camera, pose, ("sh",))
+        calls[f"forward and backward, pose|{size}"] = both(model, camera, pose, ())
+    return take_turns(calls, repeats)
+
+
+def measure_memory(sizes: list[int], gaussians: int) -> Numbers:
+    model, start = random_cloud(gaussians), peak_mib()
+    for size in sizes:
+        both(model, *view(size))()
+    return {"start": start, "peak": peak_mib()}
+
+
+def measure_avx2(sizes: list[int], gaussians: int, repeats: int, inspect_code: bool) -> Numbers:
+    model, calls = random_cloud(gaussians), {}
+    for size in sizes:
+        calls[f"forward|{size}"] = forward(model, *view(size))
+        calls[f"forward and backward|{size}"] = both(model, *view(size))
+    return take_turns(calls, repeats) | ({"zmm": registers("zmm"), "ymm": registers("ymm")} if inspect_code else {})
+
+
+def registers(kind: str) -> int:
+    """How often the back end's compiled code names a register of this kind. Code read from Numba's cache cannot be inspected."""
+    modules = [m for name, m in sys.modules.items() if name.startswith("rtgs.render.cpu")]
+    functions = {f for m in modules for f in vars(m).values() if isinstance(f, numba.core.dispatcher.Dispatcher)}
+    return sum(len(re.findall(rf"%{kind}\d", text)) for f in functions for text in f.inspect_asm().values())
+
+
+def measure_threads(sizes: list[int], gaussians: int, repeats: int, threads: tuple[int, ...] = (1, 2)) -> Numbers:
+    model, calls, results = random_cloud(gaussians), {}, {}
+
+    def with_threads(n: int, call: Callable[[], Any]) -> Callable[[], Any]:
+        def run() -> Any:
+            numba.set_num_threads(n)
+            torch.set_num_threads(n)
+            return call()
+
+        return run
+
+    for size in sizes:
+        passes = {"forward": forward(model, *view(size)), "forward and backward": both(model, *view(size))}
+        for n in threads:
+            calls |= {f"{name}|{size}|{n}": with_threads(n, call) for name, call in passes.items()}
+        results[size] = [with_threads(n, passes["forward and backward"]) for n in (*threads, threads[-1])]
+    ms = take_turns(calls, repeats, wall=True)
+    different, repeatable = 0.0, True
+    for runs in results.values():
+        few, many, again = (run() for run in runs)
+        different = max(different, *(relative(few[k], many[k]) for k in many))
+        repeatable = repeatable and all(torch.equal(many[k], again[k]) for k in many)
+    return ms | {"different": different, "repeatable": repeatable}
+
+
+def measure_growth(counts: list[int], sizes: list[int], gaussians: int, repeats: int) -> Numbers:
+    calls = {}
+    for n in counts:
+        model = random_cloud(n)
+        calls[f"N|{n}|forward"] = forward(model, *view(400))
+        calls[f"N|{n}|forward and backward"] = both(model, *view(400))
+    for size in sizes:
+        model = random_cloud(gaussians)
+        calls[f"pixels|{size}|forward"] = forward(model, *view(size))
+        calls[f"pixels|{size}|forward and backward"] = both(model, *view(size))
+    return take_turns(calls, repeats)
+
+
+def measure_large(gaussians: int, width: int, height: int) -> Numbers:
+    model = random_cloud(gaussians)
+    ms = take_turns({"forward": forward(model, *view(width, height))}, 3)
+    peak = peak_mib()
+    ms |= take_turns({"forward and backward": both(model, *view(width, height))}, 3)
+    return ms | {"forward peak": peak, "forward and backward peak": peak_mib()}
+
+
+def measure_tangents(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
+    """Forward mode, and the linear map from colours to a picture with its transpose."""
+    units = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    directions = [Direction(translation=u) for u in units] + [Direction(rotation_rad=u) for u in units]
+    model, calls = random_cloud(gaussians), {}
+    colors = torch.rand(gaussians, 3, generator=torch.Generator().manual_seed(7))
+    for size in sizes:
+        camera, pose = view(size)
+        calls[f"forward, gray|{size}"] = forward(model, camera, pose, GRAY)
+        for k in (1, 6):
+            tangents = partial(render_with_tangents, model, camera, pose, directions[:k], settings=GRAY)
+            calls[f"forward, gray, with tangents, K = {k}|{size}"] = tangents
+        linear, weights = LinearRender(model, camera, pose, channels=3), loss_weights(size, size)
+        calls[f"forward|{size}"] = forward(model, camera, pose)
+        calls[f"colours to picture, the view kept|{size}"] = partial(linear.image, colors)
+        calls[f"picture to colours, the view kept|{size}"] = partial(linear.adjoint, weights)
+    return take_turns(calls, repeats)
+
+
+def measure_stages(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
+    from rtgs.optim import Adam
+    from rtgs.render.cpu.layout import tile_side
+
+    flops, bytes_per_s = render_floor.peaks()
+    out: Numbers = {"flops": flops, "bytes_per_s": bytes_per_s}
+    model = random_cloud(gaussians)
+    for size in sizes:
+        camera, pose = view(size)
+        work = render_floor.work(model, camera, pose, tile_side(camera.width, camera.height))
+        out |= {f"floor|{size}|{k}": v for k, v in render_floor.floors_ms(work, flops, bytes_per_s).items()}
+        out |= {f"count|{size}|{k}": getattr(work, k) for k in ("visible", "entries", "boxes", "pairs")}
+        optimiser = Adam(model.tensors(), dict.fromkeys(ALL_FIELDS, 0.0))
+        weights = loss_weights(size, size)
+
+        def step(camera: Camera = camera, pose: SE3 = pose, optimiser: Adam = optimiser, weights: Tensor = weights) -> None:
+            (render(Gaussians(**optimiser.parameters), camera, pose).color * weights).sum().backward()
+            optimiser.step()
+
+        step()  # compiles
+        samples: dict[str, list[float]] = {stage: [] for stage in STAGES}
+        whole = []
+        for _ in range(repeats):
+            with timed_stages() as spent:
+                start = time.process_time()
+                step()
+                whole.append(1e3 * (time.process_time() - start))
+            for stage, ms in spent.items():
+                samples[stage].append(ms)
+        medians = {stage: statistics.median(ms) for stage, ms in samples.items()}
+        medians["everything else"] = statistics.median(whole) - sum(medians.values())
+        out |= {f"ms|{size}|{stage}": ms for stage, ms in medians.items()}
+    return out
+
+
+@contextmanager
+def timed_stages() -> Iterator[dict[str, float]]:
+    """Milliseconds of processor time spent in each of STAGES."""
+    spent = dict.fromkeys(STAGES, 0.0)
+
+    def timed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            start = time.process_time()
+            result = function(*args)
+            spent[stage] += 1e3 * (time.process_time() - start)
+            return result
+
+        return call
+
+    with ExitStack() as restore:
+        for stage, (module_name, name) in STAGES.items():
+            module = import_module(module_name)
+            function = getattr(module, name)
+            setattr(module, name, timed(stage, function))
+            restore.callback(setattr, module, name, function)
+        yield spent
+
+
+# --- rivals ----------------------------------------------------------------------------------------
+
+
+class Rival:
+    """A rival's process; see `rivals/server.py`."""
+
+    def __init__(self, name: str, python: str, scene: Path, *arguments: str, prototype: bool = False) -> None:
+        environment = {k: v for k, v in os.environ.items() if prototype or k != "RTGS_PROTOTYPES"}
+        command = [python, str(Path(__file__).parent / "rivals" / f"{name}.py"), str(scene), *arguments]
+        self.process = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def ask(self, request: str) -> Numbers:
+        assert self.process.stdin and self.process.stdout
+        print(request, file=self.process.stdin, flush=True)
+        answer = self.process.stdout.readline()
+        if not answer:
+            raise SystemExit(f"{self.process.args} ended; its message is above.")
+        return json.loads(answer)
+
+    def close(self) -> None:
+        self.process.communicate()
+
+
+def relative(a: Tensor | np.ndarray, b: Tensor | np.ndarray) -> float:
+    """‖a − b‖ / ‖b‖."""
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
+
+def measure_rival(rivals: dict[str, str], size: int, gaussians: int, repeats: int, passes: list[str], double: bool) -> Numbers:
+    """Ours and each rival in turn; what the pictures and gradients differ by. `double`: also against `gsplat_torch` in float64."""
+    camera, pose = view(size)
+    model = random_cloud(gaussians)
+    ours: dict[str, Callable[[], Any]] = {"forward": forward(model, camera, pose), "both": both(model, camera, pose)}
+    out: Numbers = {}
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.npz"
+        arrays = {k: v.numpy() for k, v in model.tensors().items()}
+        arrays |= {"camera_from_world": pose.matrix().astype(np.float32), "intrinsics": np.asarray(camera.matrix, np.float32)}
+        np.savez(scene, **arrays, weights=loss_weights(size, size).numpy())
+
+        def saved(rival: Rival, request: str) -> dict[str, np.ndarray]:
+            rival.ask(f"{request} {folder}/result.npz")
+            with np.load(f"{folder}/result.npz") as archive:
+                return dict(archive)
+
+        running = {name: start_rival(name, python, scene) for name, python in rivals.items()}
+        for request in passes:
+            samples: dict[str, list[float]] = {name: [] for name in ("ours", *running)}
+            for _ in range(repeats + 1):
+                for name, rival in running.items():
+                    samples[name].append(rival.ask(request)["processor_ms"])
+                    samples["ours"].append(take_turns({"": ours[request]}, 3)[""])
+            out |= {f"ms|{request}|{name}": statistics.median(ms[1:]) for name, ms in samples.items()}
+        results = {name: saved(rival, passes[-1]) for name, rival in running.items()}
+        out |= {f"peak|{name}": rival.ask("forward")["peak_mib"] for name, rival in running.items()}
+        for rival in running.values():
+            rival.close()
+        results["ours"] = {k: v.numpy() for k, v in ours["both"]().items()}
+        undecided = render_floor.work(model, camera, pose, 16).undecided
+        out["undecided"] = float(undecided.mean())
+        if double:
+            rival = Rival("gsplat_torch", sys.executable, scene, "float64")
+            results["float64"] = saved(rival, passes[-1])
+            rival.close()
+        compared = [("ours", name) for name in rivals]
+        compared += [(name, "float64") for name in ("ours", *rivals)] if double else []
+        for a, b in compared:
+            difference = np.abs(results[a]["image"] - results[b]["image"]).max(2)
+            decided = float(difference[~undecided].max())
+            out[f"image|{a}|{b}"] = (float(difference.max()), decided, int((difference > 5e-4).sum()), psnr(difference))
+            shared = [k for k in ALL_FIELDS if k in results[a] and k in results[b]]
+            out |= {f"gradient|{a}|{b}|{k}": relative(results[a][k], results[b][k]) for k in shared}
+    return out
+
+
+def start_rival(name: str, python: str, scene: Path) -> Rival:
+    return Rival("gsplat_torch", python, scene, prototype=True) if name == "prototype" else Rival(name, python, scene)
+
+
+def psnr(difference: np.ndarray) -> float:
+    return float(-10 * np.log10(np.mean(difference.astype(np.float64) ** 2) + 1e-30))
+
+
+# --- running a measurement -------------------------------------------------------------------------
+
+
+def run_apart(
+    measure: Callable[..., Numbers], threads: int = 1, environment: dict[str, str] | None = None, **arguments: Any
+) -> Numbers:
+    """Call `measure` in a new process with so many threads, and as many cores where the system can say so."""
+    cores = sorted(os.sched_getaffinity(0))[:threads] if hasattr(os, "sched_setaffinity") else []
+    request = {"measure": measure.__name__, "threads": threads, "cores": cores, "arguments": arguments}
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    child = {**os.environ, **dict.fromkeys(names, str(threads)), **(environment or {})}
+    done = subprocess.run(
+        [sys.executable, __file__, "--child", json.dumps(request)], env=child, stdout=subprocess.PIPE, text=True
+    )
+    if done.returncode:
+        raise SystemExit(f"{measure.__name__} failed; its message is above.")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def answer(request: Numbers) -> None:
+    if request["cores"]:
+        os.sched_setaffinity(0, request["cores"])
+    torch.set_num_threads(request["threads"])
+    numba.set_num_threads(request["threads"])
+    print(json.dumps(globals()[request["measure"]](**request["arguments"])))
+
+
+# --- sections: tables and acceptance ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of the acceptance table."""
+
+    what: str
+    required: str
+    measured: str
+    holds: bool
+
+
+def at_least(what: str, bound: float, value: float, unit: str = "×") -> Line:
+    return Line(what, f"≥ {bound:g} {unit}", f"{value:,.2f} {unit}", value >= bound)
+
+
+def at_most(what: str, bound: float, value: float, unit: str = "×") -> Line:
+    text = f"{value:.1e}" if bound < 0.01 else f"{value:,.2f}"
+    return Line(what, f"≤ {bound:g} {unit}".rstrip(), f"{text} {unit}".rstrip(), value <= bound)
+
+
+def print_table(title: str, head: list[str], rows: list[list[Any]]) -> None:
+    def cell(value: Any) -> str:
+        return f"{value:,.1f}" if isinstance(value, float) else str(value)
+
+    print(f"\n{title}\n\n| " + " | ".join(head) + " |\n|---|" + "---:|" * (len(head) - 1))
     for row in rows:
-        cells = [f"{column[row]:,.1f}" if row in column else "–" for column in columns.values()]
-        print(f"| {row} | " + " | ".join(cells) + " |")
+        print("| " + " | ".join(map(cell, row)) + " |")
+    sys.stdout.flush()
+
+
+def columns_of(numbers: Numbers) -> tuple[list[str], list[str]]:
+    """The rows and columns of numbers named `row|column`, in order."""
+    pairs = [name.split("|") for name in numbers if name.count("|") == 1]
+    return list(dict.fromkeys(p[0] for p in pairs)), list(dict.fromkeys(p[1] for p in pairs))
+
+
+def section_times(o: argparse.Namespace) -> list[Line]:
+    ms = run_apart(measure_times, sizes=[400, 800], gaussians=o.gaussians, repeats=o.repeats)
+    rows, sizes = columns_of(ms)
+    table = [[row, *(ms[f"{row}|{s}"] for s in sizes), ms[f"{row}|800"] / ms[f"{row}|400"]] for row in rows]
+    print_table("Ours, one core", ["ms", *(f"{s}²" for s in sizes), "800² / 400²"], table)
+    row = "forward and backward, all parameters"
+    return [at_most("forward and backward, 800² against 400²", 2.4, ms[f"{row}|800"] / ms[f"{row}|400"])]
+
+
+def section_rival(o: argparse.Namespace) -> list[Line]:
+    rivals = {"gsplat_torch": sys.executable}
+    if os.environ.get("RTGS_PROTOTYPES"):
+        rivals["prototype"] = sys.executable
+    judge = list(rivals)[-1]
+    lines = []
+    for size, passes, bounds in ((400, ["forward", "both"], {"forward": 65, "both": 90}), (800, ["forward"], {"forward": 45})):
+        arguments = {"rivals": rivals, "size": size, "gaussians": o.gaussians, "repeats": 3, "passes": passes}
+        found = run_apart(measure_rival, **arguments, double=True)
+        rows = []
+        for request in passes:
+            ours = found[f"ms|{request}|ours"]
+            label = {"forward": "forward", "both": "forward and backward"}[request]
+            for name in rivals:
+                theirs = found[f"ms|{request}|{name}"]
+                rows.append([f"{label}, {name}", theirs, ours, theirs / ours])
+            ratio = found[f"ms|{request}|{judge}"] / ours
+            lines.append(at_least(f"{label}, {size}², {judge} / ours", bounds[request], ratio))
+        memory = ", ".join(f"{name} {found[f'peak|{name}'] / 1024:.1f} GB" for name in rivals)
+        print_table(
+            f"Against gsplat's PyTorch functions, {size}², one core; peak memory: {memory}",
+            ["ms", "rival", "ours", "ratio"],
+            rows,
+        )
+        table = []
+        for key, (largest, decided, beyond, decibels) in ((k, v) for k, v in found.items() if k.startswith("image|")):
+            _, a, b = key.split("|")
+            gradients = [f"{v:.1e}" for k, v in found.items() if k.startswith(f"gradient|{a}|{b}|")]
+            table.append(
+                [f"{a} − {b}", f"{largest:.1e}", beyond, f"{decided:.1e}", f"{decibels:.0f} dB", *(gradients or ["–"] * 5)]
+            )
+        undecided = f"float32 cannot decide a cut-off in {100 * found['undecided']:.1f} % of the pixels"
+        title = f"Differences, {size}²: image ({undecided}), gradients"
+        print_table(title, ["", "largest", "pixels > 5e-4", "largest where decided", "PSNR", *ALL_FIELDS], table)
+        lines.append(at_most(f"image, {size}², ours − {judge}, where decided", 5e-4, found[f"image|ours|{judge}"][1], ""))
+        lines.append(at_most(f"image, {size}², ours − {judge}, everywhere", 5e-4, found[f"image|ours|{judge}"][0], ""))
+        worst = [v for k, v in found.items() if k.startswith(f"gradient|ours|{judge}|")]
+        lines += [at_most(f"gradients, {size}², ours − {judge}, relative norm", 1e-3, max(worst), "")] if worst else []
+    return lines
+
+
+def section_memory(o: argparse.Namespace) -> list[Line]:
+    for _ in range(2):  # the first may compile, which takes memory of its own
+        mib = run_apart(measure_memory, sizes=[400, 800], gaussians=o.gaussians)
+    print(f"\nPeak memory of a process, forward and backward at 400² and 800²: {mib['peak']:.0f} MiB "
+          f"({mib['start']:.0f} MiB with the model loaded, before the first render).")  # fmt: skip
+    return [at_most("peak memory, 400² and 800², forward and backward", 0.6, mib["peak"] * 2**20 / 1e9, "GB")]
+
+
+def section_avx2(o: argparse.Namespace) -> list[Line]:
+    if platform.machine() not in ("x86_64", "AMD64"):
+        print("\nAVX2: not an x86 machine.")
+        return []
+    samples: dict[str, list[Numbers]] = {"host": [], "AVX2": []}
+    with tempfile.TemporaryDirectory() as cache:
+        for turn in range(3):  # the first compiles, so that the code can be inspected
+            for name, environment in (("host", {}), ("AVX2", AVX2)):
+                folder = {"NUMBA_CACHE_DIR": str(Path(cache) / name)}
+                arguments = {"sizes": [400, 800], "gaussians": o.gaussians, "repeats": o.repeats, "inspect_code": turn == 0}
+                samples[name].append(run_apart(measure_avx2, environment=environment | folder, **arguments))
+    used = {name: {k: turns[0].pop(k) for k in ("zmm", "ymm")} for name, turns in samples.items()}
+    if used["AVX2"]["zmm"]:
+        raise SystemExit("AVX2: the compiled code still uses 512-bit registers.")
+    ms = {name: {k: statistics.median(t[k] for t in turns) for k in turns[0]} for name, turns in samples.items()}
+    rows = [[k.replace("|", ", ") + "²", ms["host"][k], ms["AVX2"][k], ms["AVX2"][k] / ms["host"][k]] for k in ms["host"]]
+    title = ", ".join(f"{name}: {u['zmm']} × zmm, {u['ymm']} × ymm" for name, u in used.items())
+    print_table(
+        f"AVX-512 disabled in LLVM, one core (registers named in the code: {title})", ["ms", "host", "AVX2", "ratio"], rows
+    )
+    return [at_most("AVX-512 disabled, slowest of forward and both", 1.6, max(row[3] for row in rows))]
+
+
+def section_threads(o: argparse.Namespace) -> list[Line]:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores < 2:
+        print("\nThreads: this process has one core only.")
+        return []
+    arguments = {"sizes": [400, 800], "gaussians": o.gaussians, "repeats": o.repeats}
+    found = run_apart(measure_threads, threads=2, **arguments)
+    keys = [k.removesuffix("|1") for k in found if k.endswith("|1")]
+    rows = [[k.replace("|", ", ") + "²", found[f"{k}|1"], found[f"{k}|2"], found[f"{k}|1"] / found[f"{k}|2"]] for k in keys]
+    print_table("One thread and two, wall time", ["ms", "1", "2", "ratio"], rows)
+    repeatable = "bit-identical" if found["repeatable"] else "different"
+    return [
+        at_least("1 → 2 cores, slowest of forward and both", 1.8, min(row[3] for row in rows)),
+        at_most("1 against 2 threads, image and gradients, relative norm", 1e-4, found["different"], ""),
+        Line("repeated with the same threads", "bit-identical", repeatable, found["repeatable"]),
+    ]
+
+
+def section_growth(o: argparse.Namespace) -> list[Line]:
+    counts, sizes = [25_000, 50_000, 100_000, 200_000, 400_000], [200, 400, 800, 1600]
+    ms = run_apart(measure_growth, counts=counts, sizes=sizes, gaussians=o.gaussians, repeats=o.repeats)
+    lines = []
+    for axis, steps, power in (("N", counts, 1), ("pixels", sizes, 2)):
+        rows, worst = [], 0.0
+        for what in ("forward", "forward and backward"):
+            times = [ms[f"{axis}|{x}|{what}"] for x in steps]
+            growth = [b / a / (y / x) ** power for a, b, x, y in zip(times, times[1:], steps, steps[1:], strict=False)]
+            worst = max(worst, *growth)
+            rows += [[f"{what}, ms", *times], ["– growth / linear", "", *(f"{g:.2f}" for g in growth)]]
+        head = [f"{x:,}" for x in steps] if axis == "N" else [f"{x}²" for x in steps]
+        at = "400²" if axis == "N" else f"{o.gaussians:,} Gaussians"
+        print_table(f"Growth with {axis} ({at}), one core", [axis, *head], rows)
+        lines.append(at_most(f"growth with {axis}, worst step against linear", 1.0, worst))
+    return lines
+
+
+def section_large(o: argparse.Namespace) -> list[Line]:
+    for _ in range(2):  # the first may compile
+        found = run_apart(measure_large, gaussians=1_000_000, width=1600, height=1200)
+    rows = [[k, found[k], f"{found[k + ' peak'] * 2**20 / 1e9:.2f}"] for k in ("forward", "forward and backward")]
+    print_table("A million Gaussians at 1600 × 1200, one core", ["", "ms", "peak memory, GB"], rows)
+    return [at_most("1M Gaussians at 1600 × 1200, peak memory", 4.0, found["forward peak"] * 2**20 / 1e9, "GB")]
+
+
+def section_tangents(o: argparse.Namespace) -> list[Line]:
+    ms = run_apart(measure_tangents, sizes=[400, 800], gaussians=o.gaussians, repeats=o.repeats)
+    rows, sizes = columns_of(ms)
+    table, ratios = [], {}
+    for row in rows:
+        base = "forward, gray" if "gray" in row else "forward"
+        ratios[row] = [ms[f"{row}|{s}"] / ms[f"{base}|{s}"] for s in sizes]
+        table.append([row, *(ms[f"{row}|{s}"] for s in sizes), *(f"{r:.2f}" for r in ratios[row])])
+    there, back = (f"{way}, the view kept" for way in ("colours to picture", "picture to colours"))
+    own = [ms[f"{back}|{s}"] / ms[f"{there}|{s}"] for s in sizes]
+    head = ["ms", *(f"{s}²" for s in sizes), *(f"/ forward, {s}²" for s in sizes)]
+    print_table("Tangents and the colours' adjoint, one core", head, table)
+    return [
+        at_most("gray with one tangent, against gray forward", 1.8, max(ratios["forward, gray, with tangents, K = 1"])),
+        at_most("gray with six tangents, against gray forward", 4.0, max(ratios["forward, gray, with tangents, K = 6"])),
+        at_most("colours' adjoint, against forward", 1.5, max(ratios["picture to colours, the view kept"])),
+        at_most("colours' adjoint, against its own forward, the view kept in both", 1.5, max(own)),
+    ]
+
+
+def section_stages(o: argparse.Namespace) -> list[Line]:
+    found = run_apart(measure_stages, sizes=[400, 800], gaussians=o.gaussians, repeats=o.repeats)
+    head, rows = ["ms"], [[stage] for stage in (*STAGES, "everything else")]
+    for size in (400, 800):
+        head += [f"{size}²", "floor", "×"]
+        for row in rows:
+            ms, floor = found[f"ms|{size}|{row[0]}"], found.get(f"floor|{size}|{row[0]}")
+            row += [ms, f"{floor:.2f}" if floor else "–", f"{ms / floor:.1f}" if floor else "–"]
+    peaks = f"{found['flops'] / 1e9:.0f} GFLOP/s in a matrix product, {found['bytes_per_s'] / 1e9:.0f} GB/s of memory"
+    print_table(f"A training step, stage by stage, one core ({peaks})", head, rows)
+    counts = [[k, *(f"{found[f'count|{size}|{k}']:,}" for size in (400, 800))] for k in ("visible", "entries", "boxes", "pairs")]
+    print_table("What there is to do (see `render_floor.Work`)", ["", "400²", "800²"], counts)
+    return []
+
+
+def section_rivals(o: argparse.Namespace) -> list[Line]:
+    if not o.rival:
+        print("\nRivals: none named; see --rival.")
+        return []
+    rivals = dict(item.split("=", 1) for item in o.rival)
+    found = run_apart(
+        measure_rival, rivals=rivals, size=400, gaussians=o.gaussians, repeats=3, passes=["forward", "both"], double=False
+    )
+    rows = []
+    for name in rivals:
+        for request in ("forward", "both"):
+            theirs, ours = found[f"ms|{request}|{name}"], found[f"ms|{request}|ours"]
+            decibels = f"{found[f'image|ours|{name}'][3]:.1f} dB"
+            rows.append([f"{name}, {request}", theirs, ours, theirs / ours, decibels, f"{found[f'peak|{name}'] / 1024:.1f}"])
+    print_table("Rivals, 400², one core", ["ms", "rival", "ours", "ratio", "PSNR of the pictures", "peak memory, GiB"], rows)
+    return []
+
+
+SECTIONS = {name.removeprefix("section_"): f for name, f in list(globals().items()) if name.startswith("section_")}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, nargs="+", default=[400, 800])
-    parser.add_argument("--gaussians", type=int, default=100_000)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--reference-size", type=int, default=64, help="picture of the comparison with the reference; 0: none")
-    parser.add_argument("--reference-gaussians", type=int, default=2_000)
-    parser.add_argument("--rival", type=Path, help="folder of torch_rival.py; gsplat has to be installed")
-    args = parser.parse_args()
-    torch.set_num_threads(args.threads)
-    numba.set_num_threads(args.threads)
-
-    print(
-        f"rtgs {__version__}, torch {torch.__version__}, numba {numba.__version__}, Python {platform.python_version()}; "
-        f"{args.threads} of {os.cpu_count()} cores, {platform.machine()}; medians of {args.repeats}\n"
+    parser.add_argument("--only", nargs="+", choices=list(SECTIONS), default=list(SECTIONS), help="sections; all when not given")
+    parser.add_argument(
+        "--rival", action="append", metavar="NAME=PYTHON", help="a rival of benchmarks/rivals and its interpreter"
     )
-    model = random_cloud(args.gaussians)
-    columns = {f"{size}²": timings(model, size, "cpu", args.repeats) for size in args.sizes}
-    memory = peak_mib()
-    print(f"{args.gaussians:,} Gaussians, `cpu` back end; peak memory {memory:,.0f} MiB\n")
-    print_table(columns)
-
-    if args.reference_size:
-        size, small = args.reference_size, random_cloud(args.reference_gaussians)
-        fast, slow = timings(small, size, "cpu", args.repeats), timings(small, size, "reference", min(args.repeats, 3))
-        ratio = {row: slow[row] / fast[row] for row in slow}
-        double = forward(small.to(torch.float64), size, "reference")
-        difference = (forward(small, size, "cpu") - double).abs().max()
-        print(f"\n{len(small):,} Gaussians at {size}²; largest difference of the picture to float64 {difference:.1e}\n")
-        print_table({"`cpu`": fast, "`reference`": slow, "ratio": ratio})
-        print(f"\nPeak memory {peak_mib():,.0f} MiB")
-
-    if args.rival is not None:
-        columns = {}
-        differences = []
-        for size in args.sizes:
-            theirs, image = rival_timings(args.rival, model, size, min(args.repeats, 3), args.threads)
-            ours = {
-                "forward": median_ms(lambda size=size: forward(model, size, "cpu"), args.repeats),
-                "forward and backward": median_ms(backward_of(model, size, "cpu", ALL_FIELDS), args.repeats),
-            }
-            columns |= {
-                f"rival {size}²": theirs,
-                f"`cpu` {size}²": ours,
-                f"ratio {size}²": {k: theirs[k] / ours[k] for k in ours},
-            }
-            differences.append((forward(model, size, "cpu") - image).abs().max().item())
-        print(f"\nAgainst gsplat's PyTorch functions; largest difference of the pictures {max(differences):.1e}\n")
-        print_table(columns)
+    parser.add_argument("--gaussians", type=int, default=100_000)
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--child", help=argparse.SUPPRESS)
+    o = parser.parse_args()
+    if o.child:
+        answer(json.loads(o.child))
+        return
+    print(
+        f"rtgs {rtgs.__version__}, torch {torch.__version__}, numba {numba.__version__}, Python {platform.python_version()}; "
+        f"{platform.machine()} with {os.cpu_count()} cores; {o.gaussians:,} Gaussians; medians of {o.repeats} (rivals: of 3)"
+    )
+    lines = [line for name in SECTIONS if name in o.only for line in SECTIONS[name](o)]
+    rows = [[line.what, line.required, line.measured, "holds" if line.holds else "does not hold"] for line in lines]
+    print_table("Acceptance", ["", "required", "measured", ""], rows)
 
 
 if __name__ == "__main__":
