@@ -479,7 +479,7 @@ def section_rival(o: argparse.Namespace) -> list[Line]:
                 rows.append([f"{label}, {name}", theirs, ours, theirs / ours])
             ratio = found[f"ms|{request}|{judge}"] / ours
             lines.append(at_least(f"{label}, {size}², {judge} / ours", bounds[request], ratio))
-        memory = ", ".join(f"{name} {found[f'peak|{name}'] / 1024:.1f} GB" for name in rivals)
+        memory = ", ".join(f"{name} {found[f'peak|{name}'] / 1024:.1f} GiB" for name in rivals)
         print_table(
             f"Against gsplat's PyTorch functions, {size}², one core; peak memory: {memory}",
             ["ms", "rival", "ours", "ratio"],
