@@ -1,8 +1,8 @@
-"""Which splats touch which 16×16 tile, in depth order.
+"""Which splats touch which tile (`layout.tile_side`), in depth order.
 
 One radix sort of the depths and one counting sort into tiles in that order; no sort per tile. A splat enters the lists of all tiles
 of its bounding box: whether its ellipse reaches a tile's pixels is cheaper to ask when the tile comes to it, since most never do.
-All passes run over fixed blocks, so the lists come out the same for any number of threads.
+The counting sort runs over fixed blocks, so the lists come out the same for any number of threads.
 """
 
 from __future__ import annotations
@@ -16,61 +16,45 @@ _PADDING = 16  # entries that `blend` may look ahead
 _DIGIT_BITS = 12
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def depth_order(depths, tiles):
     """Visible Gaussians (`tiles` > 0) by rising depth, equals in model order: `[V]` int32.
+
+    One thread: two or three passes over memory gain nothing from a second one, and each would have to wake it.
 
     Args:
         depths: `[N]`, the bits of positive float32 as uint32, which rise as the numbers do.
     """
-    n = len(depths)
-    counts, lows, highs = np.zeros(_BLOCKS + 1, np.int64), np.empty(_BLOCKS, np.uint32), np.empty(_BLOCKS, np.uint32)
-    for block in nb.prange(_BLOCKS):
-        count, low, high = 0, np.uint32(0xFFFFFFFF), np.uint32(0)
-        for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
-            if tiles[i] > 0:
-                count += 1
-                low, high = min(low, depths[i]), max(high, depths[i])
-        counts[block + 1], lows[block], highs[block] = count, low, high
-    for block in range(_BLOCKS):
-        counts[block + 1] += counts[block]
-    visible = counts[_BLOCKS]
+    visible, low, high = 0, np.uint32(0xFFFFFFFF), np.uint32(0)
+    for i in range(len(depths)):
+        if tiles[i] > 0:
+            visible += 1
+            low, high = min(low, depths[i]), max(high, depths[i])
     order, other = np.empty(visible, np.int32), np.empty(visible, np.int32)
-    if visible == 0:
-        return order
-    low = lows.min()
-    span, bits = np.int64(highs.max()) - np.int64(low), 1
+    keys, other_keys = np.empty(visible, np.uint32), np.empty(visible, np.uint32)
+    at = 0
+    for i in range(len(depths)):
+        if tiles[i] > 0:
+            keys[at], order[at] = depths[i] - low, i
+            at += 1
+    span, bits = np.int64(high) - np.int64(low), 1
     while span >> bits > 0:
         bits += 1
     passes = (bits + _DIGIT_BITS - 1) // _DIGIT_BITS
     digit = (bits + passes - 1) // passes
-    keys, other_keys = np.empty(visible, np.uint32), np.empty(visible, np.uint32)
-    for block in nb.prange(_BLOCKS):
-        at = counts[block]
-        for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
-            if tiles[i] > 0:
-                keys[at], order[at] = depths[i] - low, i
-                at += 1
-    places = np.empty((_BLOCKS, 1 << digit), np.int64)
     mask = np.uint32((1 << digit) - 1)
     for p in range(passes):
         shift = np.uint32(p * digit)
-        for block in nb.prange(_BLOCKS):
-            places[block] = 0
-            for k in range(block * visible // _BLOCKS, (block + 1) * visible // _BLOCKS):
-                places[block, (keys[k] >> shift) & mask] += 1
-        at = 0
-        for value in range(places.shape[1]):
-            for block in range(_BLOCKS):
-                count = places[block, value]
-                places[block, value] = at
-                at += count
-        for block in nb.prange(_BLOCKS):
-            for k in range(block * visible // _BLOCKS, (block + 1) * visible // _BLOCKS):
-                value = (keys[k] >> shift) & mask
-                to = places[block, value]
-                places[block, value] = to + 1
-                other_keys[to], other[to] = keys[k], order[k]
+        places = np.zeros((1 << digit) + 1, np.int64)
+        for k in range(visible):
+            places[((keys[k] >> shift) & mask) + 1] += 1
+        for value in range(1 << digit):
+            places[value + 1] += places[value]
+        for k in range(visible):
+            value = (keys[k] >> shift) & mask
+            to = places[value]
+            places[value] = to + 1
+            other_keys[to], other[to] = keys[k], order[k]
         keys, other_keys = other_keys, keys
         order, other = other, order
     return order
