@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ SOURCE = Path(rtgs.cli.__file__).parent
 SYNTH = SynthConfig(scene="lego", frames=10, size=48, supersampling=1, seed=3, thermal_clean=False)
 HELD_OUT = ("frame_000", "frame_008")
 RGB_FLAGS = {"steps": 40, "random-points": 250, "densify.max-gaussians": 400, "densify.every": 10}
-SCALE_FLAGS = {"steps": 5, "scan-samples": 25}
+SCALE_FLAGS = {"solver": "adam", "steps": 5, "scan-samples": 25}
 THERMAL_FLAGS = {"steps": 10}
 TITLES = {
     "sfm": "structure from motion",
@@ -51,7 +51,7 @@ TITLES = {
 }
 
 
-def flags(settings: dict[str, int], prefix: str = "") -> list[str]:
+def flags(settings: Mapping[str, int | str], prefix: str = "") -> list[str]:
     return [text for name, value in settings.items() for text in (f"--{prefix}{name}", str(value))]
 
 

@@ -21,10 +21,13 @@ from rtgs.image import GRAY_WEIGHTS
 from rtgs.io.rig import read_rig
 from rtgs.models import RgbModel
 from rtgs.render import RenderSettings, render
-from rtgs.scale import Objective, ScaleEstimate, estimate_scale
-from rtgs.scale.bracket import bracket, flow_per_unit
-from rtgs.scale.estimate import _scan, adam, bootstrap, curve_minimum
-from rtgs.scale.objective import reduced
+from rtgs.scale import Objective, ScaleEstimate, adam, estimate_scale
+from rtgs.scale.bracket import bracket, flow_per_unit, information
+from rtgs.scale.descend import descend
+from rtgs.scale.interval import bootstrap, curve_minima, curve_minimum, hermite, interval
+from rtgs.scale.objective import Evaluation, reduced
+from rtgs.scale.records import Counter, History, Scan
+from rtgs.scale.search import scan_thetas
 from rtgs.scene import Capture, Frame, Rig, Scene, SparsePoints
 from rtgs.sh import C0
 
@@ -34,7 +37,7 @@ RIG = Rig(
     SE3(rotation_from_axis_angle([0.02, -0.03, 0.04]), np.array([0.16, -0.07, 0.03])),
 )
 NO_POINTS = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
-QUICK = ScaleConfig(steps=50, learning_rate=0.02, scan_samples=32)
+QUICK = ScaleConfig(solver="adam", steps=50, learning_rate=0.02, scan_samples=32)
 
 
 def bumpy_ball(n: int = 500) -> Gaussians:
@@ -50,10 +53,11 @@ def bumpy_ball(n: int = 500) -> Gaussians:
     )
 
 
-def assembled(poses: list[SE3], thermal: list[np.ndarray], rig: Rig = RIG) -> Scene:
-    """A scene record in memory; the RGB images are not looked at by the scale."""
-    blank = np.zeros((rig.rgb.height, rig.rgb.width, 3), np.float32)
-    frames = tuple(Frame(f"{i:03d}", blank, image) for i, image in enumerate(thermal))
+def assembled(poses: list[SE3], thermal: list[np.ndarray], rig: Rig = RIG, rgb: list[np.ndarray] | None = None) -> Scene:
+    """A scene record in memory."""
+    blank = [np.zeros((rig.rgb.height, rig.rgb.width, 3), np.float32)] * len(thermal)
+    pairs = zip(rgb or blank, thermal, strict=True)
+    frames = tuple(Frame(f"{i:03d}", photo, image) for i, (photo, image) in enumerate(pairs))
     capture = Capture(
         root=Path(),
         raw_rig=rig,
@@ -87,7 +91,17 @@ def synthetic(sfm_per_metre: float = 1.0, n_frames: int = 8) -> tuple[Scene, Rgb
         pose = scene.thermal_from_world(frame.name, sfm_per_metre)
         view = render(hot, RIG.thermal, pose, settings=settings).over(torch.tensor([0.9]))
         images.append((20.0 + 15.0 * view[..., 0]).numpy())
-    return assembled(poses, images), model
+    return assembled(poses, images, rgb=photographs(scene, model)), model
+
+
+def photographs(scene: Scene, model: RgbModel, noise: float = 0.02) -> list[np.ndarray]:
+    """What the RGB camera sees, and what a model does not explain."""
+    rng, images = np.random.default_rng(1), []
+    for frame in scene.frames:
+        view = render(model.gaussians, scene.rig.rgb, scene.rgb_from_world(frame.name), settings=model.settings)
+        image = view.over(model.background).numpy()
+        images.append((image + noise * rng.normal(size=image.shape)).astype(np.float32))
+    return images
 
 
 def objective(scene: Scene, model: RgbModel, epsilon: float, *, reference: bool) -> Objective:
@@ -442,10 +456,233 @@ def test_bootstrap_of_parabolas_is_the_error_of_their_mean() -> None:
 def test_standard_error_is_paired() -> None:
     thetas = np.array([0.0, 0.1, 0.2])
     shape, level = np.array([0.5, 0.1, 0.3]), np.array([[0.0], [3.0], [-2.0], [7.0]])
-    scan = _scan(thetas, shape + level, ["a", "b", "c", "d"])
+    scan = Scan.of(thetas, shape + level, ["a", "b", "c", "d"])
     # Frames differ in level alone, which says nothing about s.
     np.testing.assert_allclose(scan.std_error, 0.0, atol=1e-12)
     np.testing.assert_allclose(scan.loss, shape + 2.0)
     np.testing.assert_allclose(scan.sfm_per_metre, np.exp(thetas))
     curves = shape + np.array([[0.0, 0, 1], [0, 0, -1], [0, 0, 1], [0, 0, -1]])
-    np.testing.assert_allclose(_scan(thetas, curves, list("abcd")).std_error, [0, 0, np.sqrt(4 / 3) / 2])
+    np.testing.assert_allclose(Scan.of(thetas, curves, list("abcd")).std_error, [0, 0, np.sqrt(4 / 3) / 2])
+
+
+# --- the global search -----------------------------------------------------------------------------
+
+
+def drawn(model: RgbModel, poses: list[SE3], rig: Rig, sfm_per_metre: float, noise: float = 0.0) -> Scene:
+    """Photographs, and thermal images that the model's own inverted gray gives at the true thermal poses, in counts."""
+    blank = np.zeros((rig.thermal.height, rig.thermal.width), np.float32)
+    scene, rng, images = assembled(poses, [blank] * len(poses), rig), np.random.default_rng(0), []
+    settings = replace(model.settings, channel_weights=GRAY_WEIGHTS)
+    for frame in scene.frames:
+        pose = scene.thermal_from_world(frame.name, sfm_per_metre)
+        view = render(model.gaussians, rig.thermal, pose, settings=settings)
+        gray = view.over(model.background @ torch.tensor(GRAY_WEIGHTS))[..., 0].numpy()
+        image = 100.0 - 40.0 * gray**2
+        images.append((image + noise * rng.normal(size=image.shape)).astype(np.float32))
+    return assembled(poses, images, rig, photographs(scene, model))
+
+
+def cloud(seed: int) -> Gaussians:
+    """A textured shell, a cluttered ball, or a floor with posts; about the origin, metres."""
+    g = torch.Generator().manual_seed(seed)
+    ball = bumpy_ball()
+    if seed == 1:
+        return replace(ball, means=1.1 * torch.randn(500, 3, generator=g).clamp(-1.2, 1.2))
+    if seed == 2:
+        flat = torch.rand(500, 3, generator=g) * torch.tensor([2.4, 2.4, 0.1]) - torch.tensor([1.2, 1.2, 0.6])
+        flat[400:, 2] = torch.rand(100, generator=g) - 0.5
+        return replace(ball, means=flat)
+    return ball
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_global_search_finds_the_truth_in_any_unit(seed: int) -> None:
+    truth, found = 1.3, []
+    # The second rig's baseline points forwards, the third camera's field of view is another.
+    rig = RIG if seed != 1 else replace(RIG, rgb_from_thermal=SE3(RIG.rgb_from_thermal.rotation, np.array([0.05, 0.02, 0.2])))
+    rig = rig if seed != 2 else replace(rig, thermal=replace(rig.thermal, fl_x=48.0, fl_y=47.0))
+    for unit in (1e-4, 1.0, 1e4):
+        model = RgbModel(cloud(seed).scaled(unit * truth), torch.full((3,), 0.4), RenderSettings(near_plane=0.05 * unit))
+        poses = []
+        for k in range(13):
+            angle = 0.55 * k
+            eye = np.array([2.8 * math.cos(angle), 2.8 * math.sin(angle), 0.5 + 0.4 * math.sin(2.1 * k)])
+            poses.append(look_at(eye, [0, 0, 0]).with_baseline_scaled(unit * truth))
+        scene = drawn(model, poses, rig, unit * truth, noise=0.3)
+        estimate = estimate_scale(scene, model)
+        assert estimate.solver == "global" and estimate.status == "ok" and estimate.reason == ""
+        assert estimate.sfm_per_metre == pytest.approx(unit * truth, rel=0.01)
+        assert estimate.ci95 is not None and estimate.std_log is not None
+        assert estimate.ci95[0] < estimate.sfm_per_metre < estimate.ci95[1] and 0 < estimate.std_log < 0.02
+        assert not {"000", "008"} & set(estimate.frames) and estimate.disagreeing == []
+        assert estimate.renders < 200 * len(estimate.frames)
+        assert ScaleEstimate.from_json(json.loads(json.dumps(estimate.to_json(), allow_nan=False))) == estimate
+        found.append(estimate.sfm_per_metre / unit)
+    np.testing.assert_allclose(found, found[1], rtol=2e-3)
+
+
+def test_the_search_ends_in_the_minimum_of_the_loss_itself() -> None:
+    scene, model = synthetic()
+    estimate = estimate_scale(scene, model, ScaleConfig(epsilon=0.05))
+    loss = Objective(
+        scene, model.gaussians, model.background, model.settings, scene.train_frames,
+        level_weights=PAPER_LEVEL_WEIGHTS, epsilon=0.05,
+    )  # fmt: skip
+    thetas = math.log(estimate.sfm_per_metre) + np.linspace(-0.02, 0.02, 41)
+    curve = np.array([np.mean([loss.loss(i, t) for i in range(len(scene.train_frames))]) for t in thetas])
+    assert abs(curve_minimum(thetas, curve) - math.log(estimate.sfm_per_metre)) < 2e-3
+    assert curve[20] <= curve.min() + 1e-5
+
+
+def test_progress_of_the_search_ends_at_its_end() -> None:
+    scene, model = synthetic()
+    seen: list[tuple[int, int]] = []
+    estimate = estimate_scale(scene, model, progress=lambda done, total, _: seen.append((done, total)))
+    assert [done for done, _ in seen] == list(range(1, len(seen) + 1))
+    assert seen[-1][0] == seen[-1][1] <= estimate.renders
+
+
+def test_a_start_spares_the_scan() -> None:
+    scene, model = synthetic()
+    estimate = estimate_scale(scene, model, ScaleConfig(init=1.15))
+    assert estimate.scan is None and estimate.init == pytest.approx(1.15)
+    assert estimate.sfm_per_metre == pytest.approx(1.0, rel=0.01)
+
+
+def facing_walls(depth: float, stripes: int | None, noise: float, frames: int = 9) -> tuple[Scene, RgbModel]:
+    """A textured wall across the view at `depth` metres, seen from places beside each other; 0.2 m to the side, the thermal camera."""
+    rig = replace(RIG, rgb_from_thermal=SE3(np.eye(3), np.array([0.2, 0.0, 0.0])))
+    g = torch.Generator().manual_seed(0)
+    n = 60
+    xy = torch.cartesian_prod(torch.linspace(-1.2, 1.2, n), torch.linspace(-1.0, 1.0, n // 2)) * depth
+    level = (
+        torch.rand(len(xy), generator=g)
+        if stripes is None
+        else (torch.arange(n) % stripes < stripes // 2).float().repeat_interleave(n // 2)
+    )
+    gaussians = Gaussians(
+        torch.cat([xy, torch.full((len(xy), 1), depth)], dim=1),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(len(xy), 1),
+        torch.tensor([0.025 * depth, 0.04 * depth, 1e-4 * depth]).log().repeat(len(xy), 1),
+        torch.full((len(xy),), 4.0),
+        ((0.2 + 0.6 * level) - 0.5)[:, None, None].repeat(1, 1, 3) / C0,
+    )
+    model = RgbModel(gaussians, torch.zeros(3), RenderSettings(near_plane=1e-3 * depth))
+    poses = [SE3(np.eye(3), np.array([0.02 * depth * (k % 3), 0.02 * depth * (k // 3), 0.0])) for k in range(frames)]
+    return drawn(model, poses, rig, 1.0, noise), model
+
+
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+def test_a_far_wall_tells_nothing_and_says_so(noise: float) -> None:
+    scene, model = facing_walls(400.0, None, noise)  # the baseline moves the picture by 0.03 px
+    estimate = estimate_scale(scene, model)
+    assert estimate.status == "unobservable" and "below" in estimate.reason
+    near = estimate_scale(*facing_walls(2.0, None, noise))
+    assert near.status == "ok" and near.sfm_per_metre == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_picket_fence_is_ambiguous() -> None:
+    # 0.2 m at 2 m is 6.4 px; four columns of the wall are 10.4 px, so 16.8 px fit as well: no edge of the wall is in view.
+    estimate = estimate_scale(*facing_walls(2.0, 4, 1.0))
+    assert estimate.status == "ambiguous", estimate
+    everything = [estimate.sfm_per_metre, *(m.sfm_per_metre for m in estimate.minima)]
+    assert min(abs(s - 1.0) for s in everything) < 0.03
+    assert any(m.chance > 0.025 for m in estimate.minima) and f"{estimate.minima[0].sfm_per_metre:.4g}" in estimate.reason
+
+
+def test_a_wrong_pair_is_named() -> None:
+    # Two frames of a camera that has moved by 2.6 px between them are swapped; the scale moves the picture by 6.4 px.
+    scene, model = facing_walls(2.0, None, 1.0, 15)
+    swapped = {"003": "005", "005": "003"}
+    images = {f.name: f.thermal for f in scene.frames}
+    poses = [scene.world_from_rgb[f.name] for f in scene.frames]
+    wrong = assembled(
+        poses, [images[swapped.get(f.name, f.name)] for f in scene.frames], scene.rig, [f.rgb for f in scene.frames]
+    )
+    assert estimate_scale(scene, model).disagreeing == []
+    estimate = estimate_scale(wrong, model)
+    assert set(estimate.disagreeing) == set(swapped)
+    assert estimate.sfm_per_metre == pytest.approx(1.0, rel=0.03)
+
+
+def test_edges_along_the_flow_and_far_ones_inform_less() -> None:
+    near, far = facing_walls(2.0, None, 0.0), facing_walls(8.0, None, 0.0)
+    worth = [information(s, m.gaussians, m.settings, s.train_frames) for s, m in (near, far)]
+    assert worth[0].shape == (7,)
+    np.testing.assert_allclose(worth[0] / worth[1], 16.0, rtol=0.3)  # flow squared
+    scene, model = near
+    along = [np.repeat(np.linspace(0, 1, 44, dtype=np.float32)[:, None], 56, axis=1)] * 2  # level edges, level flow
+    level = assembled([SE3.identity()] * 2, along, scene.rig)
+    upright = assembled([SE3.identity()] * 2, [np.tile(np.linspace(0, 1, 56, dtype=np.float32), (44, 1))] * 2, scene.rig)
+    a, b = (information(s, model.gaussians, model.settings, s.train_frames)[0] for s in (level, upright))
+    assert a < 1e-6 * b
+
+
+def test_scanned_scales_are_a_coarse_pixel_apart() -> None:
+    thetas = scan_thetas((0.02, 2.0), 4)
+    flow = np.exp(thetas) / 0.04  # pixels: half of one at the lower end
+    assert flow[0] == pytest.approx(0.5) and flow[-1] == pytest.approx(50.0)
+    assert (np.diff(flow) <= 4 + 1e-9).all() and (flow[1:] / flow[:-1] <= 1.25 + 1e-9).all() and len(flow) < 30
+
+
+class Parabola:
+    """An objective of known minimum: L = 1 + a·(cosh(θ − m) − 1), whose Gauss–Newton curvature is claimed `excess` times too large."""
+
+    def __init__(self, minimum: float, excess: float) -> None:
+        self.minimum, self.excess, self.frames = minimum, excess, (0, 1)
+
+    def evaluate(self, index: int, theta: float) -> Evaluation:
+        x = theta - self.minimum
+        return Evaluation(1 + 2 * (math.cosh(x) - 1), 2 * math.sinh(x), self.excess * 2 * math.cosh(x))
+
+
+@pytest.mark.parametrize("excess", [0.1, 1.0, 30.0])
+def test_descent_reaches_the_minimum_whatever_the_claimed_curvature(excess: float) -> None:
+    history = History([], [], [], [])
+    theta, curvature = descend(
+        Parabola(0.3, excess), (0, 1), -0.4, longest=0.5, tolerance=1e-4, counter=Counter(None), history=history
+    )  # type: ignore[arg-type]
+    assert theta == pytest.approx(0.3, abs=1e-4) and len(history.step) <= 12
+    assert curvature == pytest.approx(2.0, rel=0.1)
+
+
+# --- the interval of the global search -------------------------------------------------------------
+
+
+def test_cubics_are_read_exactly_between_their_nodes() -> None:
+    thetas, at = np.array([-1.0, -0.2, 0.1, 2.0]), np.linspace(-1, 2, 50)
+    cubics = [np.poly1d([0.3, -1, 0.5, 2]), np.poly1d([-1, 0, 0, 1])]
+    values, slopes = np.array([p(thetas) for p in cubics]), np.array([p.deriv()(thetas) for p in cubics])
+    np.testing.assert_allclose(hermite(thetas, values, slopes, at), [p(at) for p in cubics], atol=1e-12)
+
+
+def test_minima_of_many_curves_are_those_of_each() -> None:
+    rng = np.random.default_rng(0)
+    thetas = np.sort(rng.uniform(-1, 1, 9))
+    curves = np.concatenate([(thetas - rng.uniform(-1.5, 1.5, (200, 1))) ** 2, rng.normal(size=(200, 9))])
+    expected = []
+    for curve in curves:
+        k = int(np.argmin(curve))
+        if k in (0, 8):
+            expected.append(thetas[k])
+            continue
+        a, b, _ = np.polyfit(thetas[k - 1 : k + 2] - thetas[k], curve[k - 1 : k + 2], 2)
+        expected.append(thetas[k] - b / (2 * a))
+    np.testing.assert_allclose(curve_minima(thetas, curves), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("calibration", [0.0, 0.02])
+def test_the_interval_covers(calibration: float) -> None:
+    """Frames in runs that err alike, few of them, and a calibration that is off: 95 % of the intervals hold the truth."""
+    rng, thetas, trials = np.random.default_rng(1), np.linspace(-0.5, 0.5, 101), 300
+    held, widths = 0, []
+    for trial in range(trials):
+        errors = 0.05 * (rng.normal(size=18) + np.repeat(rng.normal(size=6), 3)) / math.sqrt(2)
+        minima = errors + calibration * rng.normal()
+        curves = rng.uniform(0.5, 2.0, (18, 1)) * (thetas[None] - minima[:, None]) ** 2 + rng.normal(size=(18, 1))
+        std, (lo, hi) = interval(thetas, curves, curve_minimum(thetas, curves.mean(axis=0)), calibration, trial)
+        held += lo <= 1.0 <= hi
+        widths.append(std)
+    # 300 trials know a share of 95 % to ± 2.5 % (two standard errors); resampling 18 frames is itself an approximation.
+    assert 0.90 <= held / trials <= 0.99
+    assert np.median(widths) < 2.2 * math.hypot(0.05 / math.sqrt(18) * math.sqrt(2), calibration)

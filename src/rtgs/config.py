@@ -92,26 +92,34 @@ class RgbConfig:
 
 @dataclass(frozen=True)
 class ScaleConfig:
-    """How the scale is found: the paper's objective and its Adam."""
+    """How the scale is found: the paper's objective, by a search over all scales or by the paper's Adam."""
 
+    solver: Literal["global", "adam"] = "global"
+    """"global" scans all scales the images can tell apart and refines by Gauss–Newton; "adam" is the paper's."""
     init: float | None = None
-    """Start of `sfm_per_metre`; None: the minimum of a scan of the same loss over all scales the images can tell apart."""
+    """Start of `sfm_per_metre`; None: the minimum of a scan of the loss over all scales the images can tell apart."""
     steps: int = 200
     """Adam steps."""
     learning_rate: float = 5e-3
     """Adam's learning rate, in ln s."""
     batch: int | None = None
-    """Frames per step, drawn at random; None: all."""
+    """Adam: frames per step, drawn at random; None: all."""
     level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS
     """Pyramid weights, finest level first; one number gives the single-scale loss."""
-    epsilon: float = PAPER_EPSILON
-    """ε of the normalised gradient, images in [0, 1]."""
+    epsilon: float | None = None
+    """ε of the normalised gradient, images in [0, 1]; None: measured at each level (docs/scale.md), and the paper's 1e-6 for Adam."""
     scan_samples: int = 64
-    """Log-spaced scales in the scan."""
+    """Adam: log-spaced scales in the scan."""
+    half_width: float = 0.001
+    """Global: frames are added until half the 95 % interval is narrower than this, in ln s, or all are used."""
     max_frames: int = 64
     """Of more training frames than this, as many evenly spaced ones are used."""
     seed: int = 0
     """Order of mini-batches, and the bootstrap."""
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("global", "adam"):
+            raise RtgsError(f"scale.solver is {self.solver!r}; it is global or adam.")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
-"""The metric scale: objective, bracket and estimate."""
+"""The metric scale: objective, bracket, solvers, interval."""
 
 from rtgs.config import ScaleConfig
-from rtgs.scale.estimate import History, ScaleEstimate, Scan, adam, estimate_scale
+from rtgs.scale.adam import adam
+from rtgs.scale.estimate import estimate_scale
 from rtgs.scale.objective import Objective
+from rtgs.scale.records import History, Minimum, ScaleEstimate, Scan
 
-__all__ = ["History", "Objective", "ScaleConfig", "ScaleEstimate", "Scan", "adam", "estimate_scale"]
+__all__ = ["History", "Minimum", "Objective", "ScaleConfig", "ScaleEstimate", "Scan", "adam", "estimate_scale"]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from rtgs.camera import Camera
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.render import RenderSettings, render
-from rtgs.scene import Scene
+from rtgs.scene import Frame, Scene
 
 _FRAMES = 12  # enough for a percentile
 _WIDTH = 160
@@ -26,27 +29,57 @@ def flow_per_unit(scene: Scene, gaussians: Gaussians, settings: RenderSettings) 
     Raises:
         RtgsError: the model covers no pixel of any view.
     """
-    rig, frames = scene.rig, scene.train_frames
-    camera = rig.thermal
-    small = camera.resized(min(_WIDTH, camera.width), max(1, round(camera.height * min(_WIDTH, camera.width) / camera.width)))
-    velocity = -(rig.rgb_from_thermal.rotation.T @ rig.rgb_from_thermal.translation)
-    slope_x = ((np.arange(small.width) + 0.5 - small.cx) / small.fl_x)[None, :]
-    slope_y = ((np.arange(small.height) + 0.5 - small.cy) / small.fl_y)[:, None]
-    rate = np.hypot(camera.fl_x * (velocity[0] - slope_x * velocity[2]), camera.fl_y * (velocity[1] - slope_y * velocity[2]))
+    frames = scene.train_frames
     flows = []
     for frame in frames[:: max(1, len(frames) // _FRAMES)]:
-        with torch.no_grad():
-            view = render(
-                gaussians, small, scene.thermal_from_world(frame.name, 0.0), settings=replace(settings, with_depth=True)
-            )
-        assert view.depth is not None
-        covered = (view.alpha > 0.5).numpy()
-        depth = (view.depth / view.alpha.clamp_min(1e-6)).numpy().astype(np.float64)
-        flows.append((rate / np.maximum(depth, 1e-12))[covered])
+        flow, covered = flow_field(scene, gaussians, settings, frame)
+        flows.append(np.hypot(*flow)[covered])
     flow = np.concatenate(flows)
     if not len(flow):
         raise RtgsError("scale: the RGB model covers no pixel of any thermal view; check the rig's rotation and the poses.")
     return flow
+
+
+def flow_field(
+    scene: Scene, gaussians: Gaussians, settings: RenderSettings, frame: Frame
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """∂(u, v)/∂s at s → 0 in thermal pixels, `[2, h, w]` at a reduced size, and which of its pixels the model covers."""
+    camera, small = scene.rig.thermal, _small(scene)
+    velocity = -(scene.rig.rgb_from_thermal.rotation.T @ scene.rig.rgb_from_thermal.translation)
+    slope_x = ((np.arange(small.width) + 0.5 - small.cx) / small.fl_x)[None, :]
+    slope_y = ((np.arange(small.height) + 0.5 - small.cy) / small.fl_y)[:, None]
+    with torch.no_grad():
+        view = render(gaussians, small, scene.thermal_from_world(frame.name, 0.0), settings=replace(settings, with_depth=True))
+    assert view.depth is not None
+    depth = np.maximum((view.depth / view.alpha.clamp_min(1e-6)).numpy().astype(np.float64), 1e-12)
+    along_x = camera.fl_x * (velocity[0] - slope_x * velocity[2]) / depth
+    along_y = camera.fl_y * (velocity[1] - slope_y * velocity[2]) / depth
+    return np.stack([along_x, along_y]), (view.alpha > 0.5).numpy()
+
+
+def information(scene: Scene, gaussians: Gaussians, settings: RenderSettings, frames: Sequence[Frame]) -> NDArray[np.float64]:
+    """`[F]`: what each frame can say about the scale, up to one factor: Σ (n · ∂(u, v)/∂s)² over covered pixels.
+
+    n is the thermal image's gradient over its mean magnitude, cut at 1: an edge that lies along the flow says nothing, nor does one
+    far away.
+    """
+    small, worth = _small(scene), []
+    for frame in frames:
+        flow, covered = flow_field(scene, gaussians, settings, frame)
+        image = cv2.resize(frame.thermal, (small.width, small.height), interpolation=cv2.INTER_AREA)
+        mask = scene.capture.thermal_mask.astype(np.float32)
+        valid = cv2.resize(mask, (small.width, small.height), interpolation=cv2.INTER_AREA) > 0.999
+        gradient = np.array(np.gradient(image.astype(np.float64)))[::-1]
+        size = np.hypot(*gradient)
+        unit = gradient / np.maximum(size, max(float(size[valid].mean()) if valid.any() else 0.0, 1e-12))
+        worth.append(float(((unit * flow).sum(axis=0) ** 2)[covered & valid].sum()))
+    return np.array(worth)
+
+
+def _small(scene: Scene) -> Camera:
+    camera = scene.rig.thermal
+    width = min(_WIDTH, camera.width)
+    return camera.resized(width, max(1, round(camera.height * width / camera.width)))
 
 
 def bracket(flow: NDArray[np.float64], width: int) -> tuple[float, float]:

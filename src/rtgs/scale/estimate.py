@@ -3,112 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from rtgs.config import ScaleConfig
+from rtgs.config import PAPER_EPSILON, ScaleConfig
 from rtgs.errors import RtgsError
 from rtgs.models import RgbModel
 from rtgs.progress import Progress
-from rtgs.scale.bracket import bracket, flow_per_unit
+from rtgs.scale.adam import adam
+from rtgs.scale.bracket import bracket, flow_per_unit, information
+from rtgs.scale.interval import LocalCurves, interval, widened, window
 from rtgs.scale.objective import Objective
-from rtgs.scene import Scene
+from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
+from rtgs.scale.search import EPSILON_FRAMES, UNLIKELY, Pictures, Refined, Search, curves_of, local_minima, significance
+from rtgs.scene import Frame, Scene
 
-Status = Literal["ok", "unobservable"]
-
-# ln s of the curve that says how sure the answer is: dense near it, a sixth away at the ends.
-_LOCAL = np.array([-0.16, -0.08, -0.04, -0.02, -0.01, -0.005, 0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16])
-_RESAMPLES = 1000
-
-
-@dataclass(frozen=True)
-class Scan:
-    """The loss over the bracket.
-
-    Attributes:
-        sfm_per_metre: `[S]`, rising. loss: `[S]`, mean over frames.
-        std_error: `[S]`, standard error over frames of the loss *above the minimum's* (paired: frames differ in level, which says
-            nothing about s).
-        per_frame: frame name → `[S]`.
-    """
-
-    sfm_per_metre: list[float]
-    loss: list[float]
-    std_error: list[float]
-    per_frame: dict[str, list[float]]
-
-
-@dataclass(frozen=True)
-class History:
-    """One entry a step: the scale before it, the loss and dL/d ln s there."""
-
-    step: list[int]
-    sfm_per_metre: list[float]
-    loss: list[float]
-    slope: list[float]
-
-
-@dataclass(frozen=True)
-class ScaleEstimate:
-    """What `scale.json` holds.
-
-    Attributes:
-        sfm_per_metre: SfM units per metre (the paper's s).
-        std_log: standard deviation of ln s, bootstrap over frames. It holds the scatter between frames, not the calibration's error.
-            None with a single frame.
-        ci95: its 2.5 and 97.5 percentiles, of `sfm_per_metre`; None likewise.
-        status, reason: "unobservable" when the scan's minimum lies at an end of the bracket, or the answer outside it; why, in words.
-        init: where Adam started. bracket: scales the images can tell apart.
-        baseline_m: |t| of the rig. frames: those used.
-        local: the loss close to the answer; the bootstrap's curve.
-    """
-
-    sfm_per_metre: float
-    std_log: float | None
-    ci95: tuple[float, float] | None
-    status: Status
-    reason: str
-    solver: str
-    init: float
-    bracket: tuple[float, float]
-    baseline_m: float
-    frames: list[str]
-    scan: Scan | None
-    local: Scan
-    history: History
-
-    @property
-    def metres_per_sfm(self) -> float:
-        return 1.0 / self.sfm_per_metre
-
-    def to_json(self) -> dict[str, Any]:
-        return {**asdict(self), "metres_per_sfm": self.metres_per_sfm}
-
-    @staticmethod
-    def from_json(data: dict[str, Any]) -> ScaleEstimate:
-        values = {k: v for k, v in data.items() if k != "metres_per_sfm"}
-        values["bracket"] = tuple(data["bracket"])
-        values["ci95"] = tuple(data["ci95"]) if data["ci95"] else None
-        values["scan"] = Scan(**data["scan"]) if data["scan"] else None
-        values["local"] = Scan(**data["local"])
-        values["history"] = History(**data["history"])
-        return ScaleEstimate(**values)
+_WIDEST = 0.5  # of the interval's half-width in ln s: beyond it a number would only mislead
+_FIRST_FRAMES = 16
+_LIKELY = 0.025  # share of resamples from which on another minimum is not ruled out
 
 
 def estimate_scale(
     scene: Scene, model: RgbModel, config: ScaleConfig | None = None, *, progress: Progress | None = None
 ) -> ScaleEstimate:
-    """Find `sfm_per_metre` by Adam on the paper's NGF loss (Eqs. 1–8), the RGB model frozen.
+    """Find `sfm_per_metre` from the edges that RGB and thermal images share, the RGB model frozen (Eqs. 1–8).
+
+    Solver "global" looks everywhere and needs no start; "adam" is the paper's.
 
     Args:
         scene: registered pairs; only training frames are used.
         model: the RGB model, trained or imported.
-        progress: called with (renders done, renders in all, text).
+        progress: called with (renders done, renders in all as far as is known, text).
 
     Raises:
         RtgsError: nothing to compare (no training frame, no pixel covered), or an `init` that is no positive number.
@@ -121,8 +49,19 @@ def estimate_scale(
     train = scene.train_frames
     if not train:
         raise RtgsError("scale: the scene has no training frame (every registered frame is held out).")
+    counter = Counter(progress)
+    flow = flow_per_unit(scene, model.gaussians, model.settings)
+    limits = bracket(flow, scene.rig.thermal.width)
     chosen = np.unique(np.linspace(0, len(train) - 1, min(config.max_frames, len(train))).round().astype(int))
     frames = [train[i] for i in chosen]
+    solve = _by_adam if config.solver == "adam" else _globally
+    return solve(scene, model, config, frames, limits, counter)
+
+
+def _by_adam(
+    scene: Scene, model: RgbModel, config: ScaleConfig, frames: list[Frame], limits: tuple[float, float], counter: Counter
+) -> ScaleEstimate:
+    """The paper's objective and solver. Without a start, the minimum of a scan of the same loss over the bracket is it."""
     objective = Objective(
         scene,
         model.gaussians,
@@ -130,140 +69,168 @@ def estimate_scale(
         model.settings,
         frames,
         level_weights=config.level_weights,
-        epsilon=config.epsilon,
+        epsilon=PAPER_EPSILON if config.epsilon is None else config.epsilon,
     )
     names = [f.name for f in frames]
     batch = len(frames) if config.batch is None else min(config.batch, len(frames))
-    scan_work = config.scan_samples * len(frames) if config.init is None else 0
-    counter = _Counter(scan_work + config.steps * batch + len(_LOCAL) * len(frames), progress)
-
-    limits = bracket(flow_per_unit(scene, model.gaussians, model.settings), scene.rig.thermal.width)
-    scan, reason = None, ""
-    if config.init is None:
+    scan, reason, init = None, "", config.init
+    counter.plan((config.scan_samples if init is None else 0) * len(frames) + config.steps * batch + 6 * len(frames))
+    if init is None:
         thetas = np.linspace(math.log(limits[0]), math.log(limits[1]), config.scan_samples)
-        curves = _curves(objective, thetas, counter, "scan")
-        scan = _scan(thetas, curves, names)
+        curves = curves_of(objective, thetas, counter)
+        scan = Scan.of(thetas, curves, names)
         best = int(np.argmin(curves.mean(axis=0)))
         init = float(np.exp(thetas[best]))
         if best in (0, len(thetas) - 1):
             side = "below" if best == 0 else "above"
-            reason = f"the loss is lowest at an end of the scan: the scale lies {side}"
-    else:
-        init = config.init
-
+            reason = f"the loss is lowest at an end of the scan: the scale lies {side} {_what_can_be_told(limits)}"
     theta, history = adam(objective, math.log(init), config, counter)
-    if not reason and not limits[0] <= math.exp(theta) <= limits[1]:
-        reason = f"the scale found, {math.exp(theta):.4g}, lies {'below' if math.exp(theta) < limits[0] else 'above'}"
-    if reason:
-        reason += (
-            f" what the images can tell ({limits[0]:.4g} to {limits[1]:.4g} SfM units per metre), "
-            "or the edges of the two modalities do not agree."
-        )
-    local_thetas = theta + _LOCAL
-    local_curves = _curves(objective, local_thetas, counter, "interval")
-    std_log, ci95 = bootstrap(local_thetas, local_curves, config.seed) if len(frames) > 1 else (None, None)
+    reason = reason or _outside(theta, limits)
+    local = LocalCurves(objective, counter)
+    closed = widened(local, range(len(frames)), theta, 2 * limits[0] / math.exp(theta), config.seed)
+    found = _Found(theta, init, scan, history, [], [], objective.renders)
+    return _result(scene, config, frames, limits, local, found, reason, closed)
+
+
+def _globally(
+    scene: Scene, model: RgbModel, config: ScaleConfig, frames: list[Frame], limits: tuple[float, float], counter: Counter
+) -> ScaleEstimate:
+    """Scan, refine what it found, and draw the curves around the best; frames join until the interval is narrow enough."""
+    start = math.log(limits[0] if config.init is None else config.init)
+    counter.plan(EPSILON_FRAMES)
+    pictures = Pictures.of(scene, model, frames, config.level_weights, config.epsilon, counter)
+    worth = information(scene, model.gaussians, model.settings, frames)
+    ranked = sorted(range(len(frames)), key=lambda i: -worth[i])
+    search = Search(pictures, [frames[i] for i in ranked], 0.5 / limits[0], counter)
+    scan, doubt, starts = None, "", [start]
+    if config.init is None:
+        thetas, curves = search.scan(limits)
+        scan = Scan.of(thetas, curves, [f.name for f in search.scan_frames])
+        candidates = local_minima(curves)
+        doubt = _doubt(thetas, curves, candidates[0], limits)
+        starts = [float(thetas[j]) for j in candidates]
+    counter.plan(len(starts) * search.refine_renders() + 6 * len(frames))
+    minima = sorted((search.refine(theta) for theta in starts), key=lambda m: float(m.losses.mean()))
+    best = minima[0]
+    doubt = doubt or _outside(best.theta, limits)
+
+    objective = pictures.objective(frames)
+    local = LocalCurves(objective, counter)
+    pixel = 2 * limits[0] / math.exp(best.theta)
+    half_width, count = window(best.slopes, best.curvature, pixel), _FIRST_FRAMES
+    while True:
+        closed = widened(local, ranked[:count], best.theta, half_width, config.seed)
+        theta = local.minimum()
+        if count >= len(frames) or not closed or doubt:
+            break
+        if 1.96 * interval(*local.dense(), theta, 0.0, config.seed)[0] <= config.half_width:
+            break
+        count *= 2
+    used = [frames[i] for i in local.frames]
+    disagreeing = [] if doubt or not closed else search.disagreeing(theta, used)
+    renders = search.renders + objective.renders + pictures.renders
+    rivals = _rivals(minima, pixel, config.seed)
+    found = _Found(theta, math.exp(best.start), scan, search.history, rivals, disagreeing, renders)
+    return _result(scene, config, used, limits, local, found, doubt, closed)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a solver came to, and how."""
+
+    theta: float
+    init: float
+    scan: Scan | None
+    history: History
+    rivals: list[Minimum]
+    disagreeing: list[str]
+    renders: int
+
+
+def _result(
+    scene: Scene,
+    config: ScaleConfig,
+    frames: list[Frame],
+    limits: tuple[float, float],
+    local: LocalCurves,
+    found: _Found,
+    doubt: str,
+    closed: bool,
+) -> ScaleEstimate:
+    """Interval and verdict."""
+    grid, curves = local.dense()
+    std_log, ci95, reason = None, None, doubt
+    if len(frames) > 1:
+        std_log, ci95 = interval(grid, curves, found.theta, 0.0, config.seed)
+        if not reason and not closed:
+            reason = (
+                f"the loss is flat: between {math.exp(grid[0]):.4g} and {math.exp(grid[-1]):.4g} SfM units per metre, no scale stands "
+                "out in all resamples of the frames."
+            )
+        if not reason and 1.96 * std_log > _WIDEST:
+            reason = f"the frames leave the scale open by a factor of {math.exp(1.96 * std_log):.2g} to either side."
+    status: Status = "unobservable" if reason else "ok"
+    likely = [m for m in found.rivals if m.chance > _LIKELY]
+    if not reason and likely:
+        status = "ambiguous"
+        others = " and ".join(f"{m.sfm_per_metre:.4g}" for m in likely)
+        reason = f"the edges meet as well at {others} SfM units per metre; frames with nearer things would tell which is right."
     return ScaleEstimate(
-        sfm_per_metre=math.exp(theta),
+        sfm_per_metre=math.exp(found.theta),
         std_log=std_log,
         ci95=ci95,
-        status="unobservable" if reason else "ok",
+        status=status,
         reason=reason,
-        solver="adam",
-        init=init,
+        solver=config.solver,
+        init=found.init,
         bracket=limits,
         baseline_m=scene.rig.baseline_m,
-        frames=names,
-        scan=scan,
-        local=_scan(local_thetas, local_curves, names),
-        history=history,
+        frames=[f.name for f in frames],
+        scan=found.scan,
+        local=Scan.of(np.array(local.thetas), local.values(), [f.name for f in frames]),
+        history=found.history,
+        minima=found.rivals,
+        disagreeing=found.disagreeing,
+        renders=found.renders,
     )
 
 
-def adam(
-    objective: Objective, theta: float, config: ScaleConfig, counter: Callable[[str], None] | None = None
-) -> tuple[float, History]:
-    """The paper's solver: Adam on θ = ln s (Eq. 8), over all frames or a random mini-batch a step.
-
-    Returns:
-        θ after the last step, and the history.
-    """
-    parameter = torch.tensor(theta, dtype=torch.float64, requires_grad=True)
-    optimizer = torch.optim.Adam([parameter], lr=config.learning_rate)
-    generator = torch.Generator().manual_seed(config.seed)
-    n = len(objective.frames)
-    batch = n if config.batch is None else min(config.batch, n)
-    history = History([], [], [], [])
-    for step in range(config.steps):
-        indices = range(n) if batch == n else torch.randperm(n, generator=generator)[:batch].tolist()
-        losses, slopes = [], []
-        for i in indices:
-            loss, slope = objective.loss_and_slope(i, parameter.item())
-            losses.append(loss)
-            slopes.append(slope)
-            if counter is not None:
-                counter(f"s = {math.exp(parameter.item()):.5g}")
-        history.step.append(step)
-        history.sfm_per_metre.append(math.exp(parameter.item()))
-        history.loss.append(float(np.mean(losses)))
-        history.slope.append(float(np.mean(slopes)))
-        parameter.grad = torch.tensor(history.slope[-1], dtype=torch.float64)
-        optimizer.step()
-    return parameter.item(), history
+def _outside(theta: float, limits: tuple[float, float]) -> str:
+    """Why a scale outside of the bracket is none."""
+    s = math.exp(theta)
+    if limits[0] <= s <= limits[1]:
+        return ""
+    return f"the scale found, {s:.4g}, lies {'below' if s < limits[0] else 'above'} {_what_can_be_told(limits)}"
 
 
-def bootstrap(thetas: NDArray[np.float64], curves: NDArray[np.float64], seed: int) -> tuple[float, tuple[float, float]]:
-    """Resample frames, take each mean curve's minimum, and say how it scatters.
-
-    Args:
-        thetas: `[S]`, rising; curves: `[F, S]`.
-
-    Returns:
-        Standard deviation of ln s, and the 95 % percentile interval of s.
-    """
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(len(curves), size=(_RESAMPLES, len(curves)))
-    minima = np.array([curve_minimum(thetas, curves[p].mean(axis=0)) for p in picks])
-    lo, hi = np.percentile(minima, [2.5, 97.5])
-    return float(minima.std()), (float(np.exp(lo)), float(np.exp(hi)))
+def _doubt(thetas: NDArray[np.float64], curves: NDArray[np.float64], best: int, limits: tuple[float, float]) -> str:
+    """Why a scan shows no scale, or nothing: its minimum must lie inside and be clearly better than no baseline at all."""
+    if best == len(thetas) - 1:
+        return f"the loss is lowest at an end of the scan: the scale lies above {_what_can_be_told(limits)}"
+    gain = significance(curves[:, 0] - curves[:, best])
+    if best == 0 or gain < UNLIKELY:
+        fits = [t for j, t in enumerate(thetas) if significance(curves[:, j] - curves[:, best]) < UNLIKELY]
+        return (
+            f"the images fit no baseline at all as well as any: the scale lies below {math.exp(max(fits)):.4g}, if anywhere, and "
+            f"perhaps below {_what_can_be_told(limits)}"
+        )
+    return ""
 
 
-def curve_minimum(thetas: NDArray[np.float64], curve: NDArray[np.float64]) -> float:
-    """θ of the lowest sample, refined by the parabola through it and its neighbours; an end stays an end."""
-    k = int(np.argmin(curve))
-    if k in (0, len(curve) - 1):
-        return float(thetas[k])
-    a, b, _ = np.polyfit(thetas[k - 1 : k + 2] - thetas[k], curve[k - 1 : k + 2], 2)
+def _what_can_be_told(limits: tuple[float, float]) -> str:
     return (
-        float(thetas[k] + np.clip(-b / (2 * a), thetas[k - 1] - thetas[k], thetas[k + 1] - thetas[k]))
-        if a > 0
-        else float(thetas[k])
+        f"what the images can tell ({limits[0]:.4g} to {limits[1]:.4g} SfM units per metre), "
+        "or the edges of the two modalities do not agree."
     )
 
 
-class _Counter:
-    def __init__(self, total: int, progress: Progress | None) -> None:
-        self.done, self.total, self.progress = 0, total, progress
-
-    def __call__(self, text: str) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, self.total, text)
-
-
-def _curves(objective: Objective, thetas: NDArray[np.float64], counter: _Counter, text: str) -> NDArray[np.float64]:
-    """Per-frame losses `[F, S]`."""
-    curves = np.empty((len(objective.frames), len(thetas)))
-    for j, theta in enumerate(thetas):
-        for i in range(len(objective.frames)):
-            curves[i, j] = objective.loss(i, float(theta))
-            counter(f"{text}, s = {math.exp(theta):.4g}")
-    return curves
-
-
-def _scan(thetas: NDArray[np.float64], curves: NDArray[np.float64], names: Sequence[str]) -> Scan:
-    mean = curves.mean(axis=0)
-    above = curves - curves[:, [int(np.argmin(mean))]]
-    error = above.std(axis=0, ddof=1) / math.sqrt(len(curves)) if len(curves) > 1 else np.zeros_like(mean)
-    return Scan(
-        np.exp(thetas).tolist(), mean.tolist(), error.tolist(), {n: c.tolist() for n, c in zip(names, curves, strict=True)}
-    )
+def _rivals(minima: Sequence[Refined], pixel: float, seed: int) -> list[Minimum]:
+    """The other minima, those that ran into the best one left out."""
+    best, rng, rivals = minima[0], np.random.default_rng(seed), list[Minimum]()
+    for other in minima[1:]:
+        if all(abs(other.theta - math.log(m.sfm_per_metre)) > pixel for m in rivals) and abs(other.theta - best.theta) > pixel:
+            above = other.losses - best.losses
+            picks = rng.integers(len(above), size=(1000, len(above)))
+            chance = float((above[picks].mean(axis=1) < 0).mean())
+            rivals.append(Minimum(math.exp(other.theta), float(above.mean()), chance))
+    return rivals

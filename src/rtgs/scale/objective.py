@@ -40,7 +40,7 @@ class Objective:
         level_weights: of Eq. 7, beginning with the level of the pictures compared.
         epsilon: of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the thermal image's.
         reduction: compare pictures reduced by this factor: rendered small, not rendered and shrunk.
-        thermal: frame name → image `[h, w]` to use instead of the frame's own.
+        thermal: frame name → image `[h, w]` in [0, 1]; None: the frames' own over their common range.
     """
 
     def __init__(
@@ -68,15 +68,18 @@ class Objective:
         self._world_from_rgb = [scene.world_from_rgb[f.name].to_torch(torch.float64) for f in frames]
         valid = scene.capture.thermal_mask
         mask = torch.from_numpy(np.ascontiguousarray(valid))
-        images = [f.thermal if thermal is None else thermal[f.name] for f in frames]
-        lo, hi = thermal_range([image[valid] for image in images], 0.0)
+        if thermal is None:
+            lo, hi = thermal_range([f.thermal[valid] for f in frames], 0.0)
+            images = [np.where(valid, (f.thermal - lo) / (hi - lo), 0.0) for f in frames]
+        else:
+            images = [thermal[f.name] for f in frames]
         # A target in float64 keeps 1 − ‖n‖² exact for the fused kernels; the torch path computes in the model's own type.
         fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
         self._pyramids = []
         for image in images:
-            scaled = torch.from_numpy(np.where(valid, (image - lo) / (hi - lo), 0.0)).to(torch.float64 if fused else self._dtype)
+            target = torch.from_numpy(image).to(torch.float64 if fused else self._dtype)
             pyramid = NgfPyramid.of(
-                downsample(scaled, reduction),
+                downsample(target, reduction),
                 downsample_mask(mask, reduction),
                 level_weights=level_weights,
                 epsilon=epsilon,

@@ -1,0 +1,140 @@
+"""What the scale stage hands on: `scale.json`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Status = Literal["ok", "ambiguous", "unobservable"]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The loss over the bracket.
+
+    Attributes:
+        sfm_per_metre: `[S]`, rising. loss: `[S]`, mean over frames.
+        std_error: `[S]`, standard error over frames of the loss *above the minimum's* (paired: frames differ in level, which says
+            nothing about s).
+        per_frame: frame name → `[S]`.
+    """
+
+    sfm_per_metre: list[float]
+    loss: list[float]
+    std_error: list[float]
+    per_frame: dict[str, list[float]]
+
+    @staticmethod
+    def of(thetas: NDArray[np.float64], curves: NDArray[np.float64], names: Sequence[str]) -> Scan:
+        """From ln s `[S]` and per-frame losses `[F, S]`."""
+        mean = curves.mean(axis=0)
+        above = curves - curves[:, [int(np.argmin(mean))]]
+        error = above.std(axis=0, ddof=1) / math.sqrt(len(curves)) if len(curves) > 1 else np.zeros_like(mean)
+        per_frame = {n: c.tolist() for n, c in zip(names, curves, strict=True)}
+        return Scan(np.exp(thetas).tolist(), mean.tolist(), error.tolist(), per_frame)
+
+
+@dataclass(frozen=True)
+class History:
+    """One entry a step: the scale before it, the loss and dL/d ln s there."""
+
+    step: list[int]
+    sfm_per_metre: list[float]
+    loss: list[float]
+    slope: list[float]
+
+    def add(self, theta: float, loss: float, slope: float) -> None:
+        self.step.append(len(self.step))
+        self.sfm_per_metre.append(math.exp(theta))
+        self.loss.append(loss)
+        self.slope.append(slope)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Another scale at which the edges meet.
+
+    Attributes:
+        loss_above: how much its loss lies above the answer's, mean over frames.
+        chance: share of the frames' resamples in which it is the better of the two.
+    """
+
+    sfm_per_metre: float
+    loss_above: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """What `scale.json` holds.
+
+    Attributes:
+        sfm_per_metre: SfM units per metre (the paper's s).
+        std_log: standard deviation of ln s: the scatter between frames, and the calibration's error as far as `rig.json` states it.
+            None with a single frame.
+        ci95: 95 % interval of `sfm_per_metre`; None likewise. Of an unobservable scale: the scales that fit no worse.
+        status, reason: "ok", "ambiguous" (another scale fits as well) or "unobservable" (the images do not decide); why, in words.
+        init: where the refinement started. bracket: scales the images can tell apart.
+        baseline_m: |t| of the rig. frames: those whose curves decide.
+        local: the loss close to the answer; what the interval is taken from.
+        minima: other minima of the scan, refined, best first.
+        disagreeing: frames that place their own minimum far from the answer.
+        calibration_std_log: share of `std_log` that is the calibration's; None when `rig.json` does not state any.
+        renders: how many pictures were drawn.
+    """
+
+    sfm_per_metre: float
+    std_log: float | None
+    ci95: tuple[float, float] | None
+    status: Status
+    reason: str
+    solver: str
+    init: float
+    bracket: tuple[float, float]
+    baseline_m: float
+    frames: list[str]
+    scan: Scan | None
+    local: Scan
+    history: History
+    minima: list[Minimum] = field(default_factory=list)
+    disagreeing: list[str] = field(default_factory=list)
+    calibration_std_log: float | None = None
+    renders: int = 0
+
+    @property
+    def metres_per_sfm(self) -> float:
+        return 1.0 / self.sfm_per_metre
+
+    def to_json(self) -> dict[str, Any]:
+        return {**asdict(self), "metres_per_sfm": self.metres_per_sfm}
+
+    @staticmethod
+    def from_json(data: dict[str, Any]) -> ScaleEstimate:
+        values = {k: v for k, v in data.items() if k != "metres_per_sfm"}
+        values["bracket"] = tuple(data["bracket"])
+        values["ci95"] = tuple(data["ci95"]) if data["ci95"] else None
+        values["scan"] = Scan(**data["scan"]) if data["scan"] else None
+        values["local"] = Scan(**data["local"])
+        values["history"] = History(**data["history"])
+        values["minima"] = [Minimum(**m) for m in data.get("minima", [])]
+        return ScaleEstimate(**values)
+
+
+class Counter:
+    """Counts renders for a progress bar. `plan` says how many are still to come, as far as is known."""
+
+    def __init__(self, progress: Any) -> None:
+        self.done, self.total, self.progress = 0, 0, progress
+
+    def plan(self, remaining: int) -> None:
+        self.total = self.done + remaining
+
+    def __call__(self, text: str) -> None:
+        self.done += 1
+        if self.progress is not None:
+            self.progress(self.done, max(self.total, self.done), text)

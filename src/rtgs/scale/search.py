@@ -1,0 +1,219 @@
+"""The global search: every scale the images can tell apart, then down from the best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from rtgs.models import RgbModel
+from rtgs.scale.descend import descend
+from rtgs.scale.noise import mean_gradients, model_error
+from rtgs.scale.objective import Objective, thermal_range
+from rtgs.scale.records import Counter, History
+from rtgs.scene import Frame, Scene
+
+_COARSE_SIDE = 64  # pixels of the shorter side in the scan: the picture is halved while it keeps this many
+_SCAN_FRAMES = 10
+_REFINE_FRAMES = 16
+EPSILON_FRAMES = 6
+_RATIO = 0.25  # of neighbouring scales in the scan, where the flow is small
+_MOST_MINIMA = 3
+_AROUND = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)  # coarse pixels of flow from the answer
+UNLIKELY = 3.0  # standard errors
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """Thermal images in [0, 1] with the ε that suits them, from which objectives of any size are made.
+
+    Attributes:
+        thermal: frame name → `[h, w]`.
+        epsilon, render_epsilon: one a level; fixed numbers make every level alike.
+    """
+
+    scene: Scene
+    model: RgbModel
+    thermal: dict[str, NDArray[np.float32]]
+    level_weights: tuple[float, ...]
+    epsilon: tuple[float, ...]
+    render_epsilon: tuple[float, ...]
+    renders: int = 0
+
+    @staticmethod
+    def of(
+        scene: Scene,
+        model: RgbModel,
+        frames: Sequence[Frame],
+        level_weights: tuple[float, ...],
+        epsilon: float | None,
+        counter: Counter,
+    ) -> Pictures:
+        """Measure ε where none is given: the thermal images' from themselves, the model's from its errors against RGB images."""
+        valid = scene.capture.thermal_mask
+        lo, hi = thermal_range([f.thermal[valid] for f in frames], 0.0)
+        thermal = {f.name: np.where(valid, (f.thermal - lo) / (hi - lo), 0.0).astype(np.float32) for f in frames}
+        levels = len(level_weights) + halvings(scene)
+        if epsilon is not None:
+            return Pictures(scene, model, thermal, level_weights, (epsilon,) * levels, (epsilon,) * levels)
+        own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels)
+        drawn = frames[:: -(-len(frames) // EPSILON_FRAMES)]
+        errors = []
+        for frame in drawn:
+            errors.append(model_error(scene, model, frame))
+            counter("noise")
+        everywhere = np.ones(errors[0].shape, dtype=bool)
+        return Pictures(scene, model, thermal, level_weights, own, mean_gradients(errors, everywhere, levels), len(drawn))
+
+    def objective(self, frames: Sequence[Frame], halved: int = 0) -> Objective:
+        """Eq. 7 on pictures halved so many times: with the level weights at full size, on two equal levels below."""
+        weights = self.level_weights if halved == 0 else (1.0, 1.0)
+        levels = slice(halved, halved + len(weights))
+        return Objective(
+            self.scene,
+            self.model.gaussians,
+            self.model.background,
+            self.model.settings,
+            frames,
+            level_weights=weights,
+            epsilon=self.epsilon[levels],
+            render_epsilon=self.render_epsilon[levels],
+            reduction=2**halved,
+            thermal=self.thermal,
+        )
+
+
+def halvings(scene: Scene) -> int:
+    """How often the thermal picture can be halved for the scan."""
+    side = min(scene.rig.thermal.width, scene.rig.thermal.height)
+    return max(0, int(math.log2(side / _COARSE_SIDE))) if side >= _COARSE_SIDE else 0
+
+
+def scan_thetas(limits: tuple[float, float], coarse_pixel: int) -> NDArray[np.float64]:
+    """ln s over the bracket: neighbours are one coarse pixel of flow apart, or a ratio of 1.25 where the flow is small.
+
+    Args:
+        limits: `bracket`'s: half a pixel of flow at the lower end.
+    """
+    flows, most = [0.5], 0.5 * limits[1] / limits[0]
+    while flows[-1] < most:
+        flows.append(min(most, flows[-1] + min(float(coarse_pixel), _RATIO * flows[-1])))
+    return np.log(np.array(flows) * 2 * limits[0])
+
+
+def curves_of(objective: Objective, thetas: NDArray[np.float64], counter: Counter, text: str = "scan") -> NDArray[np.float64]:
+    """Per-frame losses `[F, S]`."""
+    curves = np.empty((len(objective.frames), len(thetas)))
+    for j, theta in enumerate(thetas):
+        for i in range(len(objective.frames)):
+            curves[i, j] = objective.loss(i, float(theta))
+            counter(f"{text}, s = {math.exp(theta):.4g}")
+    return curves
+
+
+def local_minima(curves: NDArray[np.float64]) -> list[int]:
+    """Samples lower than their neighbours in the mean curve of `[F, S]`, ends included, best first: the best and its rivals.
+
+    A rival is not significantly worse, or at least half as deep below the curve's median: samples hit narrow minima more or less well,
+    in all frames alike.
+    """
+    mean = curves.mean(axis=0)
+    framed = np.concatenate([[np.inf], mean, [np.inf]])
+    found = sorted(np.flatnonzero((mean < framed[:-2]) & (mean <= framed[2:])).tolist(), key=lambda j: float(mean[j]))
+    best, median = found[0], float(np.median(mean))
+    rivals = [
+        j
+        for j in found[1:]
+        if significance(curves[:, j] - curves[:, best]) < UNLIKELY or median - mean[j] > 0.5 * (median - mean[best])
+    ]
+    return [best, *rivals[:_MOST_MINIMA]]
+
+
+def significance(differences: NDArray[np.float64]) -> float:
+    """Mean over frames in standard errors; infinite for a single frame, or frames that differ all alike, unless by nothing."""
+    mean = float(differences.mean())
+    error = float(differences.std(ddof=1)) / math.sqrt(len(differences)) if len(differences) > 1 else 0.0
+    if error > 0:
+        return mean / error
+    return math.copysign(math.inf, mean) if mean else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A minimum that the search ended in: θ, the curvature there and the frames' losses and slopes at full size."""
+
+    theta: float
+    start: float
+    curvature: float
+    losses: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+
+
+class Search:
+    """Scan at a coarse size, then Gauss–Newton from its minima through ever finer pictures.
+
+    Args:
+        frames: most informative first.
+        pixel_at_one: pixels of flow (its 90th percentile) at s = 1.
+    """
+
+    def __init__(self, pictures: Pictures, frames: Sequence[Frame], pixel_at_one: float, counter: Counter) -> None:
+        self._pictures, self._counter, self._pixel_at_one = pictures, counter, pixel_at_one
+        self.halved = halvings(pictures.scene)
+        self.scan_frames = sorted(frames[:_SCAN_FRAMES], key=lambda f: f.name)
+        self._refined = sorted(frames[:_REFINE_FRAMES], key=lambda f: f.name)
+        self.renders = 0
+        self.history = History([], [], [], [])
+
+    def scan(self, limits: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """ln s `[S]` and per-frame losses `[F, S]`."""
+        thetas = scan_thetas(limits, 2**self.halved)
+        objective = self._pictures.objective(self.scan_frames, self.halved)
+        self._counter.plan(len(thetas) * len(self.scan_frames) + self.refine_renders() + 6 * len(self._refined))
+        curves = curves_of(objective, thetas, self._counter)
+        self.renders += objective.renders
+        return thetas, curves
+
+    def refine_renders(self) -> int:
+        """About how many pictures `refine` draws."""
+        return 4 * len(self._refined) * (self.halved + 1)
+
+    def disagreeing(self, theta: float, frames: Sequence[Frame]) -> list[str]:
+        """Frames that place their minimum elsewhere: two coarse pixels of flow or more away, and clearly.
+
+        "Clearly" is measured by how deep the frames' curves are about the answer: a frame's own minimum lies below its loss at the
+        answer by a quarter of the median frame's depth.
+        """
+        objective = self._pictures.objective(frames, self.halved)
+        flow = self._pixel_at_one * math.exp(theta) / 2**self.halved  # of the answer, in coarse pixels
+        steps = np.array([step for step in _AROUND if flow + step > 0])
+        self._counter.plan(len(steps) * len(frames))
+        curves = curves_of(objective, theta + np.log1p(steps / flow), self._counter, "frames")
+        self.renders += objective.renders
+        here = curves[:, np.flatnonzero(steps == 0)[0]]
+        depth = float(np.median(np.median(curves, axis=1) - here))
+        far = (np.abs(steps[curves.argmin(axis=1)]) >= 2) & (here - curves.min(axis=1) > 0.25 * depth)
+        return [f.name for f, apart in zip(frames, far, strict=True) if apart] if depth > 0 else []
+
+    def refine(self, theta: float) -> Refined:
+        """Coarse to fine from a scan's minimum."""
+        start, curvature = theta, 0.0
+        for halved in range(self.halved, -1, -1):
+            objective = self._pictures.objective(self._refined, halved)
+            pixel = 2**halved / (self._pixel_at_one * math.exp(theta))  # of this size, in θ
+            theta, curvature = descend(
+                objective,
+                range(len(self._refined)),
+                theta,
+                longest=min(pixel, 0.5),
+                tolerance=0.05 * pixel if halved else 0.01 * pixel,
+                counter=self._counter,
+                history=self.history,
+            )
+            self.renders += objective.renders
+        found = [objective.evaluate(i, theta) for i in range(len(self._refined))]
+        return Refined(theta, start, curvature, np.array([e.loss for e in found]), np.array([e.slope for e in found]))
