@@ -206,10 +206,13 @@ def _scale(run: _Run) -> str:
         "Solver": _solver(scale),
         "Started at": f"{scale['init']:.4g}" if _number(scale.get("init")) is not None else scale.get("init"),
         "Frames used": len(scale["frames"]) if isinstance(scale.get("frames"), list) else None,
+        "Other minima": ", ".join(f"{s:.4g} (better in {100 * c:.2g} % of resamples)" for s, c in _minima(scale)) or None,
+        "Frames that disagree": ", ".join(map(str, scale.get("disagreeing") or [])) or None,
     }
     reason = scale.get("reason")
     note = f"<p>{html.escape(str(reason))}</p>" if reason else ""
-    charts = [c for c in (_scan_chart(scale), _history_chart(scale)) if c]
+    second = _local_chart(scale) if scale.get("solver") == "global" else _history_chart(scale)
+    charts = [c for c in (_scan_chart(scale), second) if c]
     return _section("Scale", _facts(facts) + note + (f'<div class="pair">{"".join(charts)}</div>' if charts else ""))
 
 
@@ -398,7 +401,11 @@ def _colour_bar(run: _Run) -> str:
 
 def _solver(scale: Mapping[str, Any]) -> str | None:
     solver = scale.get("solver")
-    return None if solver is None else {"adam": "Adam", "gauss_newton": "Gauss-Newton"}.get(str(solver), str(solver))
+    return (
+        None
+        if solver is None
+        else {"adam": "Adam", "gauss_newton": "Gauss-Newton", "global": "scan and Gauss-Newton"}.get(str(solver), str(solver))
+    )
 
 
 def _scan_chart(scale: Mapping[str, Any]) -> str:
@@ -422,9 +429,42 @@ def _scan_chart(scale: Mapping[str, Any]) -> str:
         axes.axvspan(*interval, color=_CHOSEN, alpha=0.18, linewidth=0, label="95 % interval")
     if chosen and chosen > 0:
         axes.axvline(chosen, color=_CHOSEN, linewidth=1.4, label=f"chosen: {chosen:.4g}")
+    for s, _ in _minima(scale):
+        axes.axvline(s, color=_CHOSEN, linewidth=1.2, linestyle=":", label=f"other minimum: {s:.4g}")
     _log_axis(axes, "x", float(x.min()), float(x.max()))
     axes.legend(frameon=False, fontsize=8.5, labelcolor=_SVG_INK)
     return _chart(figure, "Loss over the scale: the scan")
+
+
+def _minima(scale: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Scale and chance of every other minimum."""
+    found = [(_number(m.get("sfm_per_metre")), _number(m.get("chance"))) for m in scale.get("minima") or []]
+    return [(s, 0.0 if c is None else c) for s, c in found if s is not None and s > 0]
+
+
+def _local_chart(scale: Mapping[str, Any]) -> str:
+    """Loss above its minimum close to the answer: the mean, and each frame's."""
+    local = scale.get("local") or {}
+    x, loss = _floats(local.get("sfm_per_metre")), _floats(local.get("loss"))
+    if len(x) < 2 or len(x) != len(loss):
+        return ""
+    lowest = int(np.argmin(loss))
+    figure, axes = _axes("SfM units per metre", "loss above that of the answer")
+    curves = [c for c in (_floats(v) for v in (local.get("per_frame") or {}).values()) if len(c) == len(x)]
+    for k, curve in enumerate(curves):
+        label = "single frames" if k == 0 else None
+        axes.plot(x, curve - curve[lowest], color=_SVG_INK, alpha=0.18, linewidth=0.7, label=label)
+    axes.plot(x, loss - loss[lowest], color=_CURVE, linewidth=1.6, marker="o", markersize=2.5, label="mean over frames")
+    interval, chosen = _pair(scale.get("ci95")), _number(scale.get("sfm_per_metre"))
+    if interval and interval[0] > 0:
+        axes.axvspan(*interval, color=_CHOSEN, alpha=0.18, linewidth=0, label="95 % interval")
+    if chosen and chosen > 0:
+        axes.axvline(chosen, color=_CHOSEN, linewidth=1.4)
+    rise = float(np.max(loss - loss[lowest]))
+    if rise > 0:
+        axes.set_ylim(-rise, 2 * rise)  # the mean decides; steeper frames may leave the picture
+    axes.legend(frameon=False, fontsize=8.5, labelcolor=_SVG_INK)
+    return _chart(figure, "Loss close to the answer: what the interval is taken from")
 
 
 def _history_chart(scale: Mapping[str, Any]) -> str:
