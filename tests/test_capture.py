@@ -23,7 +23,7 @@ from rtgs.io.images import frame_name, in_thermal_folder, read_rgb
 from rtgs.io.rig import read_rig, write_rig
 from rtgs.io.transforms import read_transforms, write_transforms
 from rtgs.radiometry import CENTIKELVIN, Atmosphere, CountsToCelsius, ObjectParameters, PlanckCalibration, PlanckRadiometry
-from rtgs.scene import Rig, Scene, SparsePoints
+from rtgs.scene import CalibrationStd, Rig, Scene, SparsePoints
 
 RGB = Camera("OPENCV", 64, 48, 60.0, 61.0, 32.5, 23.5, k1=-0.05, k2=0.01, p1=0.001, p2=-0.002)
 THERMAL = Camera("PINHOLE", 40, 32, 45.0, 45.0, 20.0, 16.0)
@@ -265,6 +265,28 @@ def test_rig_file_round_trip(root: Path) -> None:
     rig_file = read_rig(root / "rig.json")
     assert (rig_file.rig.rgb, rig_file.rig.thermal, rig_file.radiometry) == (RGB, THERMAL, RADIOMETRY)
     np.testing.assert_allclose(rig_file.rig.baseline_m, np.linalg.norm(RGB_FROM_THERMAL.translation))
+
+
+def test_how_well_the_rig_is_calibrated_comes_through(root: Path, tmp_path: Path) -> None:
+    assert load_capture(root).rig.calibration_std is None
+    edit_rig(root, lambda d: d.update(uncertainty={"rotation_deg": 0.1, "baseline_length": 0.01, "scale": 3}))
+    capture = load_capture(root)
+    expected = CalibrationStd(baseline_length=0.01, rotation_rad=np.radians(0.1))
+    assert capture.rig.calibration_std == capture.raw_rig.calibration_std == expected
+    assert any("uncertainty.scale is not a known field" in w for w in capture.warnings)
+    write_rig(tmp_path / "rig.json", capture.raw_rig, None)
+    again = read_rig(tmp_path / "rig.json").rig.calibration_std
+    assert again is not None and again.rotation_rad == pytest.approx(expected.rotation_rad, rel=1e-12)
+
+
+@pytest.mark.parametrize("value", [-0.1, "much", None])
+def test_an_uncertainty_that_is_none(root: Path, value: Any) -> None:
+    edit_rig(root, lambda d: d.update(uncertainty={"rotation_deg": value}))
+    with pytest.raises(RtgsError, match=r"rig.json.*uncertainty\.rotation_deg"):
+        load_capture(root)
+    edit_rig(root, lambda d: d.update(uncertainty=0.1))
+    with pytest.raises(RtgsError, match="uncertainty is not an object"):
+        load_capture(root)
 
 
 def test_suspicious_rig_fields_warn(root: Path) -> None:

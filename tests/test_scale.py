@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,19 +17,20 @@ from rtgs.camera import Camera
 from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
+from rtgs.geometry import SE3, is_rotation, look_at, rotation_from_axis_angle
 from rtgs.image import GRAY_WEIGHTS
 from rtgs.io.rig import read_rig
 from rtgs.models import RgbModel
 from rtgs.render import RenderSettings, render
 from rtgs.scale import Objective, ScaleEstimate, adam, estimate_scale
 from rtgs.scale.bracket import bracket, flow_per_unit, information
+from rtgs.scale.calibration import calibration_std_log, freedoms
 from rtgs.scale.descend import descend
 from rtgs.scale.interval import bootstrap, curve_minima, curve_minimum, hermite, interval
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
 from rtgs.scale.search import scan_thetas
-from rtgs.scene import Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
 from rtgs.sh import C0
 
 RIG = Rig(
@@ -644,6 +646,78 @@ def test_descent_reaches_the_minimum_whatever_the_claimed_curvature(excess: floa
     )  # type: ignore[arg-type]
     assert theta == pytest.approx(0.3, abs=1e-4) and len(history.step) <= 12
     assert curvature == pytest.approx(2.0, rel=0.1)
+
+
+# --- the calibration's share ------------------------------------------------------------------------
+
+
+def orbit(n: int = 13) -> list[SE3]:
+    eyes = [(2.8 * math.cos(0.55 * k), 2.8 * math.sin(0.55 * k), 0.5 + 0.4 * math.sin(2.1 * k)) for k in range(n)]
+    return [look_at(eye, [0, 0, 0]) for eye in eyes]
+
+
+@lru_cache(maxsize=1)
+def posts() -> tuple[Scene, RgbModel]:
+    model = RgbModel(cloud(2), torch.full((3,), 0.4), RenderSettings(near_plane=0.05))
+    return drawn(model, orbit(), RIG, 1.0), model
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_a_calibration_error_moves_the_scale_as_predicted(k: int) -> None:
+    scene, model = posts()
+    size = [0.004, 0.004, 0.004, 0.04, 0.04, 0.01][k]
+    change = freedoms(RIG, CalibrationStd())[k][0]
+    loss = Objective(
+        scene, model.gaussians, model.background, model.settings, scene.train_frames, level_weights=PAPER_LEVEL_WEIGHTS, epsilon=0.05
+    )  # fmt: skip
+    matrix = sum(loss.curvatures(i, 0.0, [change]) for i in range(len(loss.frames)))
+    assert isinstance(matrix, np.ndarray)
+    curvature = sum(loss.evaluate(i, 0.0).curvature for i in range(len(loss.frames)))
+    assert matrix[0, 0] == pytest.approx(curvature, rel=1e-4)
+    predicted = -matrix[0, 1] / matrix[0, 0] * size
+    found = []
+    for amount in (-size, size):
+        off = replace(scene, capture=replace(scene.capture, rig=change(RIG, amount)))
+        found.append(estimate_scale(off, model, ScaleConfig(init=1.0, epsilon=0.05)).sfm_per_metre)
+    moved = math.log(found[1] / found[0]) / 2
+    # First order, of a loss that is far from quadratic: 40 %, and a tenth of a pixel where nothing moves.
+    assert moved == pytest.approx(predicted, rel=0.4, abs=4e-3)
+
+
+def test_calibration_errors_move_something() -> None:
+    scene, model = posts()
+    loss = Objective(
+        scene, model.gaussians, model.background, model.settings, scene.train_frames, level_weights=PAPER_LEVEL_WEIGHTS, epsilon=0.05
+    )  # fmt: skip
+    frames = range(len(loss.frames))
+    rotation = calibration_std_log(loss, RIG, 0.0, CalibrationStd(rotation_rad=0.004), frames)
+    assert 0.01 < rotation < 0.2
+    assert calibration_std_log(loss, RIG, 0.0, CalibrationStd(rotation_rad=0.008), frames) == pytest.approx(
+        2 * rotation, rel=1e-6
+    )
+    assert calibration_std_log(loss, RIG, 0.0, CalibrationStd(baseline_length=0.02), frames) == 0.02
+    both = calibration_std_log(loss, RIG, 0.0, CalibrationStd(baseline_length=0.02, rotation_rad=0.004), frames)
+    assert both == pytest.approx(math.hypot(0.02, rotation))
+
+
+def test_the_interval_takes_the_calibration_in() -> None:
+    scene, model = posts()
+    stated = replace(
+        scene, capture=replace(scene.capture, rig=replace(RIG, calibration_std=CalibrationStd(baseline_length=0.03)))
+    )
+    plain, wide = (estimate_scale(s, model, ScaleConfig(init=1.0)) for s in (scene, stated))
+    assert plain.calibration_std_log is None and wide.calibration_std_log == 0.03
+    assert wide.sfm_per_metre == plain.sfm_per_metre
+    assert plain.std_log is not None and wide.std_log == pytest.approx(math.hypot(plain.std_log, 0.03), rel=1e-6)
+    assert wide.ci95 is not None and math.log(wide.ci95[1] / wide.ci95[0]) == pytest.approx(2 * 1.96 * 0.03, rel=0.1)
+
+
+@pytest.mark.parametrize("change, amount", freedoms(RIG, CalibrationStd(1.0, 1.0, 1.0, 1.0)))
+def test_freedoms_keep_the_baselines_length(change: Callable[[Rig, float], Rig], amount: float) -> None:
+    assert amount == 1.0
+    off = change(RIG, 0.02)
+    assert off.baseline_m == pytest.approx(RIG.baseline_m, rel=1e-12) and off != RIG
+    assert is_rotation(off.rgb_from_thermal.rotation, 1e-12)
 
 
 # --- the interval of the global search -------------------------------------------------------------

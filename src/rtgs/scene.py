@@ -21,17 +21,35 @@ HELD_OUT_EVERY = 8  # frames 0, 8, 16, … in name order
 
 
 @dataclass(frozen=True)
+class CalibrationStd:
+    """How well a rig is calibrated: standard deviations, zero for what is taken as exact.
+
+    Attributes:
+        baseline_length: of |t|, relative. baseline_direction: of the baseline's tip to either side, relative to |t|.
+        rotation_rad: of the rig's rotation, about each axis.
+        thermal_focal: of the thermal focal length, relative.
+    """
+
+    baseline_length: float = 0.0
+    baseline_direction: float = 0.0
+    rotation_rad: float = 0.0
+    thermal_focal: float = 0.0
+
+
+@dataclass(frozen=True)
 class Rig:
     """Two cameras fixed to each other.
 
     Attributes:
         rgb, thermal: intrinsics.
         rgb_from_thermal: translation in metres.
+        calibration_std: None when nobody says.
     """
 
     rgb: Camera
     thermal: Camera
     rgb_from_thermal: SE3
+    calibration_std: CalibrationStd | None = None
 
     @property
     def baseline_m(self) -> float:

@@ -20,7 +20,7 @@ from rtgs.io.images import ImageHeader, check_counts_mode, list_images, read_cou
 from rtgs.io.rig import read_rig
 from rtgs.io.transforms import read_transforms
 from rtgs.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
-from rtgs.scene import Capture, Frame, Poses, Rig
+from rtgs.scene import Capture, Frame, Poses
 
 MIN_FRAMES = 3
 _INTRINSICS_TOLERANCE = 0.01
@@ -78,7 +78,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
     return Capture(
         root=root,
         raw_rig=raw_rig,
-        rig=Rig(raw_rig.rgb.pinhole().resized(*rgb_size), raw_rig.thermal.pinhole(), raw_rig.rgb_from_thermal),
+        rig=replace(raw_rig, rgb=raw_rig.rgb.pinhole().resized(*rgb_size), thermal=raw_rig.thermal.pinhole()),
         frames=frames,
         rgb_mask=rgb_mask,
         thermal_mask=thermal_undistortion.mask,

@@ -23,7 +23,7 @@ from rtgs.radiometry import (
     PlanckRadiometry,
     Radiometry,
 )
-from rtgs.scene import Rig
+from rtgs.scene import CalibrationStd, Rig
 
 _SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
 _LENS_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")
@@ -32,6 +32,7 @@ _RADIOMETRY = (*_LINEAR, "unit", "planck", "object")
 _PLANCK = ("r1", "r2", "b", "f", "o")
 _ATMOSPHERE = tuple(field.name for field in fields(Atmosphere))
 _OBJECT = tuple(field.name for field in fields(ObjectParameters))
+_STD = ("baseline_length", "baseline_direction", "rotation_deg", "thermal_focal")
 _LONG_BASELINE_M = 2.0
 
 
@@ -64,10 +65,10 @@ def read_rig(path: Path) -> RigFile:
     thermal = camera_from_json(path, "thermal", thermal_data, warnings, more_fields=_RADIOMETRY)
     radiometry = _radiometry(path, thermal_data, warnings)
     rgb_from_thermal = _rig_transform(path, data)
-    unknown = sorted(set(data) - {"rgb", "thermal", "thermal_from_rgb", "rgb_from_thermal"})
+    unknown = sorted(set(data) - {"rgb", "thermal", "thermal_from_rgb", "rgb_from_thermal", "uncertainty"})
     if unknown:
         warnings.append(f"{path.name}: {', '.join(unknown)} is not a known field and was ignored.")
-    rig = Rig(rgb, thermal, rgb_from_thermal)
+    rig = Rig(rgb, thermal, rgb_from_thermal, _calibration_std(path, data, warnings))
     if rig.baseline_m > _LONG_BASELINE_M:
         warnings.append(
             f"{path.name}: the baseline is {rig.baseline_m:g} m. Translations are in metres; is this one in millimetres?"
@@ -79,7 +80,26 @@ def write_rig(path: Path, rig: Rig, radiometry: Radiometry | None) -> None:
     """Write `rig.json` so that `read_rig` gives the same records."""
     thermal = camera_to_json(rig.thermal) | radiometry_to_json(radiometry)
     data = {"rgb": camera_to_json(rig.rgb), "thermal": thermal, "rgb_from_thermal": rig.rgb_from_thermal.matrix().tolist()}
+    if rig.calibration_std is not None:
+        values = asdict(rig.calibration_std)
+        data["uncertainty"] = {"rotation_deg": math.degrees(values.pop("rotation_rad"))} | values
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def _calibration_std(path: Path, data: Mapping[str, Any], warnings: list[str]) -> CalibrationStd | None:
+    if "uncertainty" not in data:
+        return None
+    given = data["uncertainty"]
+    if not isinstance(given, dict):
+        raise RtgsError(f"{path}: uncertainty is not an object {{…}}; its fields are {', '.join(_STD)}.")
+    unknown = sorted(set(given) - set(_STD))
+    if unknown:
+        warnings.append(f"{path.name}: uncertainty.{', uncertainty.'.join(unknown)} is not a known field and was ignored.")
+    values = {name: finite_number(path, f"uncertainty.{name}", given, name) if name in given else 0.0 for name in _STD}
+    for name, value in values.items():
+        if value < 0:
+            raise RtgsError(f"{path}: uncertainty.{name} is {value:g}; a standard deviation is 0 or above.")
+    return CalibrationStd(rotation_rad=math.radians(values.pop("rotation_deg")), **values)
 
 
 def read_json_object(path: Path, *, missing: str) -> dict[str, Any]:

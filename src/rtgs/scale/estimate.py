@@ -15,6 +15,7 @@ from rtgs.models import RgbModel
 from rtgs.progress import Progress
 from rtgs.scale.adam import adam
 from rtgs.scale.bracket import bracket, flow_per_unit, information
+from rtgs.scale.calibration import calibration_std_log
 from rtgs.scale.interval import LocalCurves, interval, widened, window
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
@@ -89,7 +90,7 @@ def _by_adam(
     local = LocalCurves(objective, counter)
     closed = widened(local, range(len(frames)), theta, 2 * limits[0] / math.exp(theta), config.seed)
     found = _Found(theta, init, scan, history, [], [], objective.renders)
-    return _result(scene, config, frames, limits, local, found, reason, closed)
+    return _result(scene, config, frames, limits, objective, local, found, reason, closed)
 
 
 def _globally(
@@ -131,7 +132,7 @@ def _globally(
     renders = search.renders + objective.renders + pictures.renders
     rivals = _rivals(minima, pixel, config.seed)
     found = _Found(theta, math.exp(best.start), scan, search.history, rivals, disagreeing, renders)
-    return _result(scene, config, used, limits, local, found, doubt, closed)
+    return _result(scene, config, used, limits, objective, local, found, doubt, closed)
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,7 @@ def _result(
     config: ScaleConfig,
     frames: list[Frame],
     limits: tuple[float, float],
+    objective: Objective,
     local: LocalCurves,
     found: _Found,
     doubt: str,
@@ -159,9 +161,10 @@ def _result(
 ) -> ScaleEstimate:
     """Interval and verdict."""
     grid, curves = local.dense()
-    std_log, ci95, reason = None, None, doubt
+    std_log, ci95, reason, std = None, None, doubt, scene.rig.calibration_std
+    calibration = None if std is None else calibration_std_log(objective, scene.rig, found.theta, std, local.frames)
     if len(frames) > 1:
-        std_log, ci95 = interval(grid, curves, found.theta, 0.0, config.seed)
+        std_log, ci95 = interval(grid, curves, found.theta, calibration or 0.0, config.seed)
         if not reason and not closed:
             reason = (
                 f"the loss is flat: between {math.exp(grid[0]):.4g} and {math.exp(grid[-1]):.4g} SfM units per metre, no scale stands "
@@ -170,6 +173,8 @@ def _result(
         if not reason and 1.96 * std_log > _WIDEST:
             reason = f"the frames leave the scale open by a factor of {math.exp(1.96 * std_log):.2g} to either side."
     status: Status = "unobservable" if reason else "ok"
+    if reason and config.solver == "global":
+        std_log, ci95 = None, None  # where the images do not decide, a scatter about some place would look like knowledge
     likely = [m for m in found.rivals if m.chance > _LIKELY]
     if not reason and likely:
         status = "ambiguous"
@@ -191,6 +196,7 @@ def _result(
         history=found.history,
         minima=found.rivals,
         disagreeing=found.disagreeing,
+        calibration_std_log=calibration,
         renders=found.renders,
     )
 

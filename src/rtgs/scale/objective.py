@@ -18,7 +18,7 @@ from rtgs.image import GRAY_WEIGHTS, downsample, downsample_mask, to_gray
 from rtgs.losses import NgfPyramid
 from rtgs.ngf import FusedNgf
 from rtgs.render import Direction, RenderSettings, render, render_with_tangents
-from rtgs.scene import Frame, Scene
+from rtgs.scene import Frame, Rig, Scene
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,7 @@ class Objective:
     ) -> None:
         self.frames = tuple(frames)
         self.renders = 0
+        self._scene = scene
         self._gaussians = gaussians
         self._dtype = gaussians.means.dtype
         self._background = to_gray(background).to(self._dtype)
@@ -122,15 +123,7 @@ class Objective:
         Raises:
             RtgsError: the "cuda" back end, which has no forward mode.
         """
-        s = math.exp(theta)
-        pose = self._pose(index, torch.tensor(theta, dtype=torch.float64))
-        # x_thermal = Rᵀ(x_rgb − s·t), so ∂x_thermal/∂ln s = −s·Rᵀt.
-        shift = -s * (self._rgb_from_thermal.rotation.T @ self._rgb_from_thermal.translation)
-        way = Direction(translation=(float(shift[0]), float(shift[1]), float(shift[2])))
-        self.renders += 1
-        view, tangents = render_with_tangents(self._gaussians, self._camera, pose, [way], settings=self._settings)
-        gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
-        rates = tangents.over(self._background[None])[..., 0]
+        gray, rates = self._along(index, theta, [self._scale_direction(theta)])
         if self._fused:
             products = self._fused[index].products(gray.numpy(), rates.numpy())
             return Evaluation(products.loss, float(products.slope[0]), float(products.curvature[0, 0]))
@@ -138,8 +131,46 @@ class Objective:
         _, change = along(self._pyramids[index].residuals, gray, rates[0])
         return Evaluation(float(loss), float(slope), 2.0 * float(change @ change))
 
+    def curvatures(self, index: int, theta: float, changes: Sequence[Callable[[Rig, float], Rig]]) -> NDArray[np.float64]:
+        """`[1 + K, 1 + K]`: the Gauss–Newton matrix of θ and of K ways in which the rig may be off (full size only).
+
+        Raises:
+            RtgsError: more than seven changes.
+        """
+        name, step = self.frames[index].name, 1e-6
+        pose, s = self._scene.thermal_from_world(name, math.exp(theta)), math.exp(theta)
+        ways = [self._scale_direction(theta)]
+        for change in changes:
+            ends = [replace(self._scene.capture, rig=change(self._scene.rig, e)) for e in (-step, step)]
+            before, after = (replace(self._scene, capture=c).thermal_from_world(name, s) for c in ends)
+            derivative = SE3(*((b - a) / (2 * step) for a, b in zip(_parts(before), _parts(after), strict=True)))
+            lens = {k: (getattr(ends[1].rig.thermal, k) - getattr(ends[0].rig.thermal, k)) / (2 * step) for k in ("fl_x", "fl_y")}
+            ways.append(replace(Direction.between(derivative, pose), **lens))
+        gray, rates = self._along(index, theta, ways)
+        if self._fused:
+            return self._fused[index].products(gray.numpy(), np.ascontiguousarray(rates.numpy())).curvature
+        jacobian = torch.stack([along(self._pyramids[index].residuals, gray, rate)[1] for rate in rates])
+        return (2.0 * jacobian @ jacobian.T).numpy()
+
+    def _along(self, index: int, theta: float, ways: Sequence[Direction]) -> tuple[Tensor, Tensor]:
+        """Gray picture `[h, w]` and its tangents `[K, h, w]`."""
+        self.renders += 1
+        pose = self._pose(index, torch.tensor(theta, dtype=torch.float64))
+        view, tangents = render_with_tangents(self._gaussians, self._camera, pose, ways, settings=self._settings)
+        gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
+        return gray, tangents.over(self._background[None])[..., 0]
+
+    def _scale_direction(self, theta: float) -> Direction:
+        # x_thermal = Rᵀ(x_rgb − s·t), so ∂x_thermal/∂ln s = −s·Rᵀt.
+        x, y, z = (-math.exp(theta) * (self._rgb_from_thermal.rotation.T @ self._rgb_from_thermal.translation)).tolist()
+        return Direction(translation=(x, y, z))
+
     def _pose(self, index: int, theta: Tensor) -> SE3:
         return (self._world_from_rgb[index] @ self._rgb_from_thermal.with_baseline_scaled(torch.exp(theta))).inverse()  # Eq. 1
+
+
+def _parts(pose: SE3) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return pose.rotation, pose.translation
 
 
 def along(function: Callable[[Tensor], Tensor], at: Tensor, way: Tensor) -> tuple[Tensor, Tensor]:

@@ -76,8 +76,8 @@ class ScaleEstimate:
     Attributes:
         sfm_per_metre: SfM units per metre (the paper's s).
         std_log: standard deviation of ln s: the scatter between frames, and the calibration's error as far as `rig.json` states it.
-            None with a single frame.
-        ci95: 95 % interval of `sfm_per_metre`; None likewise. Of an unobservable scale: the scales that fit no worse.
+            None with a single frame, or where the global search finds nothing to observe.
+        ci95: 95 % interval of `sfm_per_metre`; None likewise.
         status, reason: "ok", "ambiguous" (another scale fits as well) or "unobservable" (the images do not decide); why, in words.
         init: where the refinement started. bracket: scales the images can tell apart.
         baseline_m: |t| of the rig. frames: those whose curves decide.
