@@ -37,6 +37,7 @@ import rtgs  # first: it sets how OpenMP's idle threads wait  # isort: skip
 import numba
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 import render_floor
@@ -181,7 +182,7 @@ def registers(kind: str) -> int:
 
 
 def measure_threads(sizes: list[int], gaussians: int, repeats: int, threads: tuple[int, ...] = (1, 2)) -> Numbers:
-    model, calls, results = random_cloud(gaussians), {}, {}
+    model, ms, results = random_cloud(gaussians), {}, {}
 
     def with_threads(n: int, call: Callable[[], Any]) -> Callable[[], Any]:
         def run() -> Any:
@@ -193,10 +194,16 @@ def measure_threads(sizes: list[int], gaussians: int, repeats: int, threads: tup
 
     for size in sizes:
         passes = {"forward": forward(model, *view(size)), "forward and backward": both(model, *view(size))}
-        for n in threads:
-            calls |= {f"{name}|{size}|{n}": with_threads(n, call) for name, call in passes.items()}
+        for name, call in passes.items():
+            samples: dict[int, list[float]] = {n: [] for n in threads}
+            for _ in range(repeats):
+                for n in threads:
+                    with_threads(n, call)()  # OpenMP starts and ends threads when their number changes: not timed
+                    start = time.perf_counter()
+                    call()
+                    samples[n].append(1e3 * (time.perf_counter() - start))
+            ms |= {f"{name}|{size}|{n}": statistics.median(times) for n, times in samples.items()}
         results[size] = [with_threads(n, passes["forward and backward"]) for n in (*threads, threads[-1])]
-    ms = take_turns(calls, repeats, wall=True)
     different, repeatable = 0.0, True
     for runs in results.values():
         few, many, again = (run() for run in runs)
@@ -230,7 +237,7 @@ def measure_tangents(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
     """Forward mode, and the linear map from colours to a picture with its transpose."""
     units = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
     directions = [Direction(translation=u) for u in units] + [Direction(rotation_rad=u) for u in units]
-    model, calls = random_cloud(gaussians), {}
+    model, calls, kept = random_cloud(gaussians), {}, {}
     colors = torch.rand(gaussians, 3, generator=torch.Generator().manual_seed(7))
     for size in sizes:
         camera, pose = view(size)
@@ -242,7 +249,24 @@ def measure_tangents(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
         calls[f"forward|{size}"] = forward(model, camera, pose)
         calls[f"colours to picture, the view kept|{size}"] = partial(linear.image, colors)
         calls[f"picture to colours, the view kept|{size}"] = partial(linear.adjoint, weights)
-    return take_turns(calls, repeats)
+        one = LinearRender(model, camera, pose)
+        calls[f"one channel to picture, the view kept|{size}"] = partial(one.image, colors[:, :1])
+        calls[f"picture to one channel, the view kept|{size}"] = partial(one.adjoint, weights[..., :1])
+        matrix = matrix_of_weights(model, camera, pose)
+        kept[size] = matrix.data.nbytes + matrix.indices.nbytes
+        calls[f"one channel to picture, the weights kept|{size}"] = partial(matrix.dot, colors[:, 0].numpy())
+        calls[f"picture to one channel, the weights kept|{size}"] = partial(matrix.T.dot, weights[..., 0].numpy().ravel())
+    return take_turns(calls, repeats) | {f"bytes|{size}": n for size, n in kept.items()}
+
+
+def matrix_of_weights(model: Gaussians, camera: Camera, pose: SE3) -> csr_matrix:
+    """A sparse matrix with as many weights as the view has pairs, evenly many a pixel, at random columns: what a product costs."""
+    pairs, pixels = render_floor.work(model, camera, pose, 64).pairs, camera.width * camera.height
+    rng = np.random.default_rng(0)
+    starts = np.linspace(0, pairs, pixels + 1).astype(np.int32)
+    return csr_matrix(
+        (rng.random(pairs, np.float32), rng.integers(0, len(model), pairs, np.int32), starts), shape=(pixels, len(model))
+    )
 
 
 def measure_stages(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
@@ -579,6 +603,7 @@ def section_large(o: argparse.Namespace) -> list[Line]:
 
 def section_tangents(o: argparse.Namespace) -> list[Line]:
     ms = run_apart(measure_tangents, sizes=[400, 800], gaussians=o.gaussians, repeats=o.repeats)
+    kept = {s: ms.pop(f"bytes|{s}") for s in (400, 800)}
     rows, sizes = columns_of(ms)
     table, ratios = [], {}
     for row in rows:
@@ -589,6 +614,11 @@ def section_tangents(o: argparse.Namespace) -> list[Line]:
     own = [ms[f"{back}|{s}"] / ms[f"{there}|{s}"] for s in sizes]
     head = ["ms", *(f"{s}²" for s in sizes), *(f"/ forward, {s}²" for s in sizes)]
     print_table("Tangents and the colours' adjoint, one core", head, table)
+    print(
+        "\nThe weights kept: "
+        + ", ".join(f"{s}² {n / 1e6:,.0f} MB a view" for s, n in kept.items())
+        + " (a sparse matrix of SciPy's)."
+    )
     return [
         at_most("gray with one tangent, against gray forward", 1.8, max(ratios["forward, gray, with tangents, K = 1"])),
         at_most("gray with six tangents, against gray forward", 4.0, max(ratios["forward, gray, with tangents, K = 6"])),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numba as nb
 import numpy as np
 import pytest
@@ -88,7 +90,9 @@ def test_depth_order_is_a_stable_sort(n: int, spread: float) -> None:
     visible = (rng.uniform(size=n) < 0.7).astype(np.int32)
     kept = np.flatnonzero(visible)
     expected = kept[np.argsort(depths[kept], kind="stable")]
-    np.testing.assert_array_equal(tiles.depth_order(depths.view(np.uint32), visible), expected)
+    order, starts = tiles.depth_order(depths.view(np.uint32), visible)
+    np.testing.assert_array_equal(order, expected)
+    np.testing.assert_array_equal(starts, np.concatenate([[0], np.cumsum(visible)]))
 
 
 def test_lists_hold_each_splat_once_in_each_tile_of_its_box_front_to_back() -> None:
@@ -121,10 +125,10 @@ def test_lists_hold_each_splat_once_in_each_tile_of_its_box_front_to_back() -> N
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
 def test_every_tile_is_dealt_once(threads: int) -> None:
     starts = np.concatenate([[0], np.cumsum(np.random.default_rng(2).integers(0, 50, 37))])
-    order = tiles.balanced(starts, threads)
-    assert sorted(order) == list(range(37))
-    shares = [np.diff(starts)[part].sum() for part in np.array_split(order, threads)]
-    assert max(shares) <= 1.3 * min(shares) + 50
+    order, shares = tiles.balanced(starts, threads)
+    assert sorted(order) == list(range(37)) and shares[0] == 0 and shares[-1] == 37 and len(shares) == threads + 1
+    work = [np.diff(starts)[order[a:b]].sum() for a, b in itertools.pairwise(shares)]
+    assert max(work) - min(work) <= np.diff(starts).max()
 
 
 def test_small_pictures_have_enough_tiles_to_share() -> None:

@@ -24,8 +24,8 @@ from rtgs.render.view import check
 class LinearRender:
     """The linear map from colours to one view's picture, and its transpose.
 
-    What is kept is the view's splats and their lists; the weights themselves (fifty or more a pixel) are computed again at each use,
-    which is faster than reading them from memory (docs/performance.md).
+    What is kept is the view's splats and their lists; the weights themselves (fifty or more a pixel) are computed again at each use:
+    reading them would take as long, and a few dozen views of them would fill a laptop's memory (docs/performance.md).
 
     Args:
         gaussians: geometry and opacity; its colours are not looked at.

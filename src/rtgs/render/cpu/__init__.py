@@ -116,9 +116,9 @@ def rasterize_with_tangents(
     height, width = splats.shape
     image, alpha = np.empty((height, width, outputs), np.float32), np.empty((height, width), np.float32)
     d_image, d_alpha = np.empty((height, width, ways * outputs), np.float32), np.empty((height, width, ways), np.float32)
-    order, starts, entries, rows, side = splats.lists
-    lists = (order, starts, entries, rows, tangents, side)
-    blend_tangents(*lists, (0,) * outputs, (0,) * ways, image, alpha, d_image, d_alpha)
+    *lists, side = splats.lists
+    arguments = [*lists, tangents, side, (0,) * outputs, (0,) * ways, image, alpha, d_image, d_alpha]
+    blend_tangents(*arguments)
     return (
         torch.from_numpy(image),
         torch.from_numpy(alpha),

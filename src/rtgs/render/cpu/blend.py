@@ -1,4 +1,4 @@
-"""Composite splats front to back, forwards, backwards and sideways. One loop iteration is one tile.
+"""Composite splats front to back, forwards, backwards and sideways. One loop iteration is a thread's share of tiles.
 
 A tile (`layout.tile_side`) has one list of splats, front to back. They come in batches that fit the first-level cache; within a batch
 each 16×16 patch of the tile takes the splats whose box it meets, sixteen boxes a comparison. A row of a patch is one register
@@ -243,17 +243,18 @@ def _blend_tile(start, end, entries, splats, left, top, side, channels, image, a
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend(tile_order, tile_starts, entries, splats, side, channels, image, alpha, used):
+def blend(tile_order, shares, tile_starts, entries, splats, side, channels, image, alpha, used):
     """Fill `image` `[H, W, C]`, `alpha` `[H, W]` and `used` `[T]`, how many of its list entries a tile needed.
 
     `channels` is a tuple of length C: its type carries C into the compiled code.
     """
     across = (image.shape[1] + side - 1) // side
-    for n in nb.prange(len(tile_order)):
-        tile = tile_order[n]
-        left, top = tile % across * side, tile // across * side
-        start, end = tile_starts[tile], tile_starts[tile + 1]
-        used[tile] = _blend_tile(start, end, entries, splats, left, top, side, channels, image, alpha)
+    for share in nb.prange(len(shares) - 1):
+        for n in range(shares[share], shares[share + 1]):
+            tile = tile_order[n]
+            left, top = tile % across * side, tile // across * side
+            start, end = tile_starts[tile], tile_starts[tile + 1]
+            used[tile] = _blend_tile(start, end, entries, splats, left, top, side, channels, image, alpha)
 
 
 # --- backwards -------------------------------------------------------------------------------------
@@ -367,7 +368,20 @@ def _blend_tile_backward(
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def blend_backward(
-    tile_order, tile_starts, entries, splats, side, channels, image, alpha, used, g_image, g_alpha, slot_starts, slot_grads
+    tile_order,
+    shares,
+    tile_starts,
+    entries,
+    splats,
+    side,
+    channels,
+    image,
+    alpha,
+    used,
+    g_image,
+    g_alpha,
+    slot_starts,
+    slot_grads,
 ):
     """Fill `slot_grads`, rows of `slot_width(6 + C)`: the gradient of each list entry that was used, from its own tile.
 
@@ -376,12 +390,13 @@ def blend_backward(
         slot_starts: `[T]`, where each tile's entries begin in `slot_grads`.
     """
     across = (image.shape[1] + side - 1) // side
-    for n in nb.prange(len(tile_order)):
-        tile = tile_order[n]
-        left, top = tile % across * side, tile // across * side
-        start, slot = tile_starts[tile], slot_starts[tile]
-        lists = (start, start + used[tile], entries, splats, left, top, side, channels)
-        _blend_tile_backward(*lists, image, alpha, g_image, g_alpha, slot, slot_grads)
+    for share in nb.prange(len(shares) - 1):
+        for n in range(shares[share], shares[share + 1]):
+            tile = tile_order[n]
+            left, top = tile % across * side, tile // across * side
+            start, slot = tile_starts[tile], slot_starts[tile]
+            lists = (start, start + used[tile], entries, splats, left, top, side, channels)
+            _blend_tile_backward(*lists, image, alpha, g_image, g_alpha, slot, slot_grads)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -441,15 +456,16 @@ def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, 
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend_adjoint(tile_order, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
+def blend_adjoint(tile_order, shares, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
     """Fill `slot_grads`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map of the
     colours."""
     across = (g_image.shape[1] + side - 1) // side
-    for n in nb.prange(len(tile_order)):
-        tile = tile_order[n]
-        left, top = tile % across * side, tile // across * side
-        start, slot = tile_starts[tile], slot_starts[tile]
-        _blend_tile_adjoint(start, start + used[tile], entries, splats, left, top, side, channels, g_image, slot, slot_grads)
+    for share in nb.prange(len(shares) - 1):
+        for n in range(shares[share], shares[share + 1]):
+            tile = tile_order[n]
+            left, top = tile % across * side, tile // across * side
+            start, slot = tile_starts[tile], slot_starts[tile]
+            _blend_tile_adjoint(start, start + used[tile], entries, splats, left, top, side, channels, g_image, slot, slot_grads)
 
 
 # --- sideways --------------------------------------------------------------------------------------
@@ -552,7 +568,7 @@ def _blend_tile_tangents(
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def blend_tangents(
-    tile_order, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
+    tile_order, shares, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
 ):
     """`blend`, and its tangents `d_image` `[H, W, K·C]`, `d_alpha` `[H, W, K]`.
 
@@ -561,9 +577,10 @@ def blend_tangents(
         channels, directions: tuples of length C and K.
     """
     across = (image.shape[1] + side - 1) // side
-    for n in nb.prange(len(tile_order)):
-        tile = tile_order[n]
-        left, top = tile % across * side, tile // across * side
-        start, end = tile_starts[tile], tile_starts[tile + 1]
-        lists = (start, end, entries, splats, tangents, left, top, side, channels, directions)
-        _blend_tile_tangents(*lists, image, alpha, d_image, d_alpha)
+    for share in nb.prange(len(shares) - 1):
+        for n in range(shares[share], shares[share + 1]):
+            tile = tile_order[n]
+            left, top = tile % across * side, tile // across * side
+            start, end = tile_starts[tile], tile_starts[tile + 1]
+            lists = (start, end, entries, splats, tangents, left, top, side, channels, directions)
+            _blend_tile_tangents(*lists, image, alpha, d_image, d_alpha)

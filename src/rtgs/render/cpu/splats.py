@@ -36,7 +36,7 @@ class Splats:
         rows: `[N · 16]` float32 (see `layout`), set where visible.
         tiles: `[N]`, tiles in a splat's box, 0 where not visible. boxes: `[N, 4]` int16. pair_starts: `[N + 1]` into places.
         tile_starts: `[T + 1]` into entries; entries: `[S + padding]`; places: `[S]` (see `tiles.bin_splats`).
-        tile_order: `[T]`, balanced over the threads.
+        shares: the tiles, share by share, and where each thread's begins (see `tiles.balanced`).
         view: intrinsics `[4]` and image size `[2]`, float64.
         side: of a tile, pixels.
         channels: C.
@@ -49,7 +49,7 @@ class Splats:
     tile_starts: NDArray[np.int64]
     entries: NDArray[np.int32]
     places: NDArray[np.int32]
-    tile_order: NDArray[np.int64]
+    shares: tuple[NDArray[np.int64], NDArray[np.int64]]
     view: tuple[NDArray[np.float64], NDArray[np.float64]]
     side: int
     channels: int
@@ -72,12 +72,11 @@ class Splats:
         arguments: list[Any] = [*model, offsets, colors, *pose, *view, side, float(near_plane), antialiased]
         arguments += [rows, depths, boxes, counts]
         projection.project(*arguments)
-        order = tiles.depth_order(depths.view(np.uint32), counts)
-        pair_starts = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        order, pair_starts = tiles.depth_order(depths.view(np.uint32), counts)
         columns, lines = -(-camera.width // side), -(-camera.height // side)
         tile_starts, entries, places = tiles.bin_splats(order, boxes, pair_starts, columns, lines)
-        tile_order = tiles.balanced(tile_starts, nb.get_num_threads())
-        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, tile_order, view, side, colors.shape[1])
+        shares = tiles.balanced(tile_starts, nb.get_num_threads())
+        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, shares, view, side, colors.shape[1])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -87,12 +86,12 @@ class Splats:
     @property
     def lists(self) -> tuple[Any, ...]:
         """What every blending kernel begins with."""
-        return self.tile_order, self.tile_starts, self.entries, self.rows, self.side
+        return *self.shares, self.tile_starts, self.entries, self.rows, self.side
 
     def blend(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
         """Image `[H, W, C]`, alpha `[H, W]`, and how many of its entries each tile needed `[T]`."""
         image, alpha = np.empty((*self.shape, self.channels), np.float32), np.empty(self.shape, np.float32)
-        used = np.empty(len(self.tile_order), np.int64)
+        used = np.empty(len(self.tile_starts) - 1, np.int64)
         arguments: list[Any] = [*self.lists, (0,) * self.channels, image, alpha, used]
         blend(*arguments)
         return image, alpha, used

@@ -18,46 +18,51 @@ _DIGIT_BITS = 12
 
 @nb.njit(cache=True, error_model="numpy")
 def depth_order(depths, tiles):
-    """Visible Gaussians (`tiles` > 0) by rising depth, equals in model order: `[V]` int32.
+    """Visible Gaussians (`tiles` > 0) by rising depth, equals in model order, `[V]` int32; and the running sum of `tiles`, `[N + 1]`.
 
     One thread: two or three passes over memory gain nothing from a second one, and each would have to wake it.
 
     Args:
         depths: `[N]`, the bits of positive float32 as uint32, which rise as the numbers do.
     """
-    visible, low, high = 0, np.uint32(0xFFFFFFFF), np.uint32(0)
-    for i in range(len(depths)):
+    n, visible, low, high = len(depths), 0, np.uint32(0xFFFFFFFF), np.uint32(0)
+    starts = np.empty(n + 1, np.int64)
+    starts[0] = 0
+    for i in range(n):
+        starts[i + 1] = starts[i] + tiles[i]
         if tiles[i] > 0:
             visible += 1
             low, high = min(low, depths[i]), max(high, depths[i])
-    order, other = np.empty(visible, np.int32), np.empty(visible, np.int32)
-    keys, other_keys = np.empty(visible, np.uint32), np.empty(visible, np.uint32)
+    # Depth above, index below: one number to move.
+    keys, other = np.empty(visible, np.uint64), np.empty(visible, np.uint64)
     at = 0
-    for i in range(len(depths)):
+    for i in range(n):
         if tiles[i] > 0:
-            keys[at], order[at] = depths[i] - low, i
+            keys[at] = (np.uint64(depths[i] - low) << np.uint64(32)) | np.uint64(i)
             at += 1
     span, bits = np.int64(high) - np.int64(low), 1
     while span >> bits > 0:
         bits += 1
     passes = (bits + _DIGIT_BITS - 1) // _DIGIT_BITS
     digit = (bits + passes - 1) // passes
-    mask = np.uint32((1 << digit) - 1)
+    mask = np.uint64((1 << digit) - 1)
     for p in range(passes):
-        shift = np.uint32(p * digit)
+        shift = np.uint64(32 + p * digit)
         places = np.zeros((1 << digit) + 1, np.int64)
         for k in range(visible):
-            places[((keys[k] >> shift) & mask) + 1] += 1
+            places[((keys[k] >> shift) & mask) + np.uint64(1)] += 1
         for value in range(1 << digit):
             places[value + 1] += places[value]
         for k in range(visible):
             value = (keys[k] >> shift) & mask
             to = places[value]
             places[value] = to + 1
-            other_keys[to], other[to] = keys[k], order[k]
-        keys, other_keys = other_keys, keys
-        order, other = other, order
-    return order
+            other[to] = keys[k]
+        keys, other = other, keys
+    order = np.empty(visible, np.int32)
+    for k in range(visible):
+        order[k] = keys[k] & np.uint64(0xFFFFFFFF)
+    return order, starts
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
@@ -120,7 +125,14 @@ def bin_splats(
     return lists
 
 
-def balanced(tile_starts: NDArray[np.int64], threads: int) -> NDArray[np.int64]:
-    """An order of the tiles in which equal shares carry equal work: tiles by falling length, dealt round."""
+def balanced(tile_starts: NDArray[np.int64], threads: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Tiles in shares of equal work: by falling length of their lists, dealt to and fro.
+
+    Returns:
+        The tiles `[T]` share by share, and where each share begins `[threads + 1]`.
+    """
     by_length = np.argsort(-np.diff(tile_starts), kind="stable")
-    return np.concatenate([by_length[t::threads] for t in range(threads)])
+    turn, seat = np.divmod(np.arange(len(by_length)), threads)
+    share = np.where(turn % 2 == 0, seat, threads - 1 - seat)
+    ends = np.cumsum(np.bincount(share, minlength=threads))
+    return by_length[np.argsort(share, kind="stable")], np.concatenate([[0], ends])
