@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from rtgs.camera import Camera
-from rtgs.config import DensifyConfig, RgbConfig
+from rtgs.config import QUALITIES, DensifyConfig, RgbConfig
 from rtgs.densify import ScreenGradients, budget, densify, is_round, target_count
 from rtgs.errors import RtgsError
-from rtgs.fit_rgb import NEAR_FRACTION, _Training, fit_rgb, initial_gaussians
+from rtgs.fit_rgb import MOST_PACE, NEAR_FRACTION, RATES_STEPS, SETTLE_TO, _Training, fit_rgb, initial_gaussians
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, look_at
 from rtgs.metrics import psnr
@@ -189,7 +189,31 @@ def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> Non
     for _ in range(10):
         training.advance()
         rates.append(training.optimizer.rates["means"])
-    np.testing.assert_allclose(rates, 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
+    np.testing.assert_allclose(rates, MOST_PACE * 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
+
+
+def test_all_rates_settle_at_the_end() -> None:
+    training = _Training(synthetic(), replace(QUICK, steps=100))
+    rates = []
+    for training.step in range(101):
+        now = training._rates(1)
+        rates.append([float(torch.as_tensor(now[k]).flatten()[-1]) for k in ("quats", "log_scales", "opacity_logits", "sh")])
+    falling = np.array(rates) / rates[0]
+    np.testing.assert_allclose(falling[:71], 1.0)
+    np.testing.assert_allclose(falling[-1], SETTLE_TO, rtol=1e-5)
+    assert (np.diff(falling[70:], axis=0) < 0).all()
+
+
+def test_fewer_steps_are_larger_ones_up_to_a_limit() -> None:
+    def first_rates(steps: int) -> dict[str, float]:
+        training = _Training(synthetic(), replace(QUICK, steps=steps))
+        training.advance()
+        return {name: float(torch.as_tensor(rate).flatten()[0]) for name, rate in training.optimizer.rates.items()}
+
+    few, many, long, longer = (first_rates(steps) for steps in (50, RATES_STEPS // 4, RATES_STEPS, 10 * RATES_STEPS))
+    assert long == longer == pytest.approx({**long, "log_scales": 5e-3, "opacity_logits": 5e-2, "quats": 1e-3, "sh": 2.5e-3})
+    for name, rate in long.items():
+        assert many[name] == pytest.approx(2 * rate) and few[name] == pytest.approx(MOST_PACE * rate), name
 
 
 def test_the_background_starts_at_the_median_border_of_the_training_frames() -> None:
@@ -407,10 +431,32 @@ def test_points_become_gaussians_of_their_colour_and_spacing() -> None:
 
 def test_the_budget_follows_the_picture_unless_it_is_given() -> None:
     assert budget(DensifyConfig(max_gaussians=77), 1_000_000, 500) == 77
-    assert budget(DensifyConfig(), 960 * 540, 500) == 129_600
-    assert budget(DensifyConfig(), 100 * 100, 500) == 10_000
-    assert budget(DensifyConfig(), 100 * 100, 30_000) == 30_000
-    assert budget(DensifyConfig(), 4000 * 3000, 500) == 150_000
+    four = DensifyConfig(pixels_each=4.0)
+    assert budget(four, 960 * 540, 500) == 129_600
+    assert budget(replace(four, pixels_each=8.0), 960 * 540, 500) == 64_800
+    assert budget(four, 100 * 100, 500) == 10_000
+    assert budget(four, 100 * 100, 30_000) == 30_000
+    assert budget(four, 4000 * 3000, 500) == 150_000
+
+
+def test_a_quality_fills_in_what_is_left_open_and_nothing_else() -> None:
+    plans = [RgbConfig(quality=quality).resolved() for quality in QUALITIES]
+    steps = [plan.steps for plan in plans]
+    assert steps == sorted(set(steps)) and all(plan.densify.pixels_each and plan.sh_degree for plan in plans)
+    assert RgbConfig().resolved() == RgbConfig(quality="default").resolved() == plans[1]
+    given = RgbConfig(quality="fast", steps=7, sh_degree=0, densify=DensifyConfig(max_gaussians=9, pixels_each=3.0))
+    assert given.resolved() == given
+    partly = RgbConfig(quality="best", steps=7).resolved()
+    assert partly.steps == 7 and partly.densify == plans[2].densify
+    model = fit_rgb(synthetic(), replace(QUICK, quality="fast", steps=3))
+    assert model.history["step"][-1] == 3
+
+
+def test_a_quality_or_a_number_of_steps_that_cannot_be_is_refused() -> None:
+    with pytest.raises(RtgsError, match=r"rgb\.quality is 'good'; it is fast, default, best"):
+        RgbConfig(quality="good")  # type: ignore[arg-type]
+    with pytest.raises(RtgsError, match=r"rgb\.steps is 0"):
+        RgbConfig(steps=0)
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:

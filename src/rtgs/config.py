@@ -10,7 +10,7 @@ import json
 import math
 import types
 import typing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args
 
@@ -23,6 +23,9 @@ PAPER_LEVEL_WEIGHTS = (1.0, 0.5, 0.25)  # w_l = 0.5^l, level 0 the finest, as pr
 
 SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room"]
 SCENES: tuple[SceneName, ...] = get_args(SceneName)
+
+Quality = Literal["fast", "default", "best"]
+QUALITIES: tuple[Quality, ...] = get_args(Quality)
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,9 @@ class DensifyConfig:
     """When and how far the model grows."""
 
     max_gaussians: int | None = None
-    """The budget; None: one for four pixels of an image or one a sparse point, from 10 000 to 150 000."""
+    """The budget; None: one for `pixels_each` pixels of an image or one a sparse point, from 10 000 to 150 000."""
+    pixels_each: float | None = None
+    """Pixels of an image for each Gaussian of the budget; None: by the quality."""
     every: int = 100
     """Steps between two rounds."""
     start: float = 0.05
@@ -68,10 +73,12 @@ class DensifyConfig:
 class RgbConfig:
     """Training of the RGB model."""
 
-    steps: int = 3000
-    """Optimisation steps; one image each."""
-    sh_degree: int = 3
-    """Highest spherical-harmonics band; bands are switched on in turn over the first half of the training."""
+    quality: Quality = "default"
+    """"fast" gives an anchor for the scale in a minute or two, "best" what more time can still gain; fills in what is left open."""
+    steps: int | None = None
+    """Optimisation steps, one image each; None: by the quality."""
+    sh_degree: int | None = None
+    """Highest spherical-harmonics band, up to 3; None: by the quality. Bands are switched on in turn over the first half."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     """How the model grows."""
     ssim_weight: float = 0.2
@@ -88,6 +95,37 @@ class RgbConfig:
     """How many random points to start from when the scene has no sparse points."""
     seed: int = 0
     """Order of the frames, random points and splits."""
+
+    def resolved(self) -> RgbConfig:
+        """The same with the numbers of its quality where they were left open."""
+        preset = _PRESETS[self.quality]
+        densify = self.densify
+        if densify.pixels_each is None:
+            densify = replace(densify, pixels_each=preset.pixels_each)
+        steps = preset.steps if self.steps is None else self.steps
+        sh_degree = preset.sh_degree if self.sh_degree is None else self.sh_degree
+        return replace(self, steps=steps, sh_degree=sh_degree, densify=densify)
+
+    def __post_init__(self) -> None:
+        if self.quality not in QUALITIES:
+            raise RtgsError(f"rgb.quality is {self.quality!r}; it is {', '.join(QUALITIES)}.")
+        if self.steps is not None and self.steps < 1:
+            raise RtgsError(f"rgb.steps is {self.steps}; it is above 0.")
+
+
+@dataclass(frozen=True)
+class _Preset:
+    steps: int
+    sh_degree: int
+    pixels_each: float
+
+
+# Chosen on validation frames among the training frames of a real capture; `benchmarks/train.py` measures them.
+_PRESETS: dict[Quality, _Preset] = {
+    "fast": _Preset(steps=1500, sh_degree=1, pixels_each=8.0),
+    "default": _Preset(steps=4000, sh_degree=2, pixels_each=4.0),
+    "best": _Preset(steps=10_000, sh_degree=3, pixels_each=4.0),
+}
 
 
 @dataclass(frozen=True)

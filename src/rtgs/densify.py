@@ -20,7 +20,8 @@ def budget(config: DensifyConfig, pixels: int, points: int) -> int:
     """`max_gaussians`, or what suits images of this many pixels: more would only describe their noise."""
     if config.max_gaussians is not None:
         return config.max_gaussians
-    return min(max(pixels // 4, points, 10_000), 150_000)
+    assert config.pixels_each is not None  # `RgbConfig.resolved` fills it in
+    return min(max(int(pixels / config.pixels_each), points, 10_000), 150_000)
 
 
 class ScreenGradients:

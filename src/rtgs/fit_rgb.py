@@ -29,6 +29,10 @@ from rtgs.render.reference import rotation_from_quats
 from rtgs.scene import Frame, Scene
 from rtgs.ssim import whole_windows
 
+# 3DGS's rates are meant for so many steps. Fewer have to be larger: the square root keeps a random walk's reach. Sizes need it most.
+RATES_STEPS = 30_000
+MOST_PACE = 8.0
+SETTLE_FROM, SETTLE_TO = 0.7, 0.05  # from this share of the steps on, all rates fall to this share
 NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
 
 
@@ -53,16 +57,17 @@ def fit_rgb(
     training = _Training(scene, config)
     if checkpoint is not None and checkpoint.exists():
         training.restore(checkpoint)
-    every = max(config.steps // 20, 1)
-    while training.step < config.steps:
+    steps = training.steps
+    every = max(steps // 20, 1)
+    while training.step < steps:
         training.advance()
         step = training.step
-        if step % every == 0 or step == config.steps:
+        if step % every == 0 or step == steps:
             training.record()
-            if checkpoint is not None and step < config.steps:
+            if checkpoint is not None and step < steps:
                 training.save(checkpoint)
         if progress is not None:
-            progress(step, config.steps, training.summary())
+            progress(step, steps, training.summary())
     return training.model()
 
 
@@ -131,8 +136,10 @@ class _Training:
     """All the state of a run, so that it can be saved and continued."""
 
     def __init__(self, scene: Scene, config: RgbConfig) -> None:
+        config = config.resolved()
+        assert config.steps is not None and config.sh_degree is not None
         self.scene, self.config = scene, config
-        self.step = 0
+        self.step, self.steps, self.sh_degree = 0, config.steps, config.sh_degree
         self.generator = torch.Generator().manual_seed(config.seed)
         self.settings = RenderSettings(near_plane=NEAR_FRACTION * scene.extent, antialiased=config.antialiased)
         self.budget = budget(config.densify, scene.rig.rgb.width * scene.rig.rgb.height, len(scene.points))
@@ -172,7 +179,7 @@ class _Training:
     def factor(self) -> int:
         """How much smaller than full size this step's image is."""
         for until, factor in self.config.coarse_to_fine:
-            if self.step < until * self.config.steps and min(self.scene.rig.rgb.width, self.scene.rig.rgb.height) // factor >= 48:
+            if self.step < until * self.steps and min(self.scene.rig.rgb.width, self.scene.rig.rgb.height) // factor >= 48:
                 return factor
         return 1
 
@@ -205,11 +212,20 @@ class _Training:
 
     def _rates(self, band: int) -> dict[str, float | Tensor]:
         """Learning rates of this step."""
-        # Positions settle: their rate falls a hundredfold along an exponential.
-        means = 1.6e-4 * self.scene.extent * 0.01 ** (self.step / self.config.steps)
-        harmonics = torch.full((sh.coefficients(band), 1), 2.5e-3 / 20)
-        harmonics[0] = 2.5e-3
-        return {"means": means, "quats": 1e-3, "log_scales": 5e-3, "opacity_logits": 5e-2, "sh": harmonics}
+        progress = self.step / self.steps
+        pace = min(max(math.sqrt(RATES_STEPS / self.steps), 1.0), MOST_PACE)
+        # One view a step makes every step a noisy one. At the end the noise is averaged away; before, it is what finds better places.
+        settling = max(progress - SETTLE_FROM, 0.0) / (1.0 - SETTLE_FROM)
+        rate = pace * SETTLE_TO**settling
+        harmonics = torch.full((sh.coefficients(band), 1), rate * 2.5e-3 / 20)
+        harmonics[0] = rate * 2.5e-3
+        return {
+            "means": pace * 1.6e-4 * self.scene.extent * 0.01**progress,
+            "quats": rate * 1e-3,
+            "log_scales": rate * 5e-3,
+            "opacity_logits": rate * 5e-2,
+            "sh": harmonics,
+        }
 
     def _switch_on(self, band: int) -> None:
         """Add the coefficients, zero, of the bands up to this one, where they are missing."""
@@ -231,11 +247,11 @@ class _Training:
         target, masks = self.image(frame, factor), self.mask(factor)
         camera = scene.rig.rgb.resized(target.shape[1], target.shape[0])
 
-        band = min(config.sh_degree, int(self.step / config.steps * 2 * (config.sh_degree + 1)))
+        band = min(self.sh_degree, int(self.step / self.steps * 2 * (self.sh_degree + 1)))
         self._switch_on(band)
         self.optimizer.rates = self._rates(band)
         gaussians, per_frame = self.gaussians(), self.frame_optimizer.parameters
-        growing = self.step <= config.densify.stop * config.steps
+        growing = self.step <= config.densify.stop * self.steps
         offsets = torch.zeros(len(gaussians), 2, requires_grad=growing)
         view = render(gaussians, camera, scene.rgb_from_world(frame.name), settings=self.settings, pixel_offsets=offsets)
         pixels, windows = masks or (None, None)
@@ -257,12 +273,12 @@ class _Training:
         self.step += 1
         if offsets.grad is not None:
             self.gradients.add(offsets.grad, view.visible, camera.width, camera.height)
-        if is_round(config.densify, self.step, config.steps):
+        if is_round(config.densify, self.step, self.steps):
             n = densify(
                 self.optimizer,
                 self.gradients,
                 config.densify,
-                target=target_count(config.densify, self.initial, self.budget, self.step, config.steps),
+                target=target_count(config.densify, self.initial, self.budget, self.step, self.steps),
                 extent=scene.extent,
                 generator=self.generator,
                 rotation_from_quats=rotation_from_quats,
@@ -289,7 +305,7 @@ class _Training:
     def model(self) -> RgbModel:
         background = self.frame_optimizer.parameters["background"].detach().clamp(0, 1).clone()
         gaussians = self.gaussians().detach()
-        missing = sh.coefficients(self.config.sh_degree) - gaussians.sh.shape[1]
+        missing = sh.coefficients(self.sh_degree) - gaussians.sh.shape[1]
         gaussians = replace(gaussians, sh=torch.nn.functional.pad(gaussians.sh, (0, 0, 0, missing)))
         return RgbModel(gaussians, background, self.settings, {k: list(v) for k, v in self.history.items()})
 
