@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 
 from rtgs.camera import Camera
 from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
@@ -27,6 +28,7 @@ from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log, freedoms
 from rtgs.scale.descend import descend
 from rtgs.scale.interval import bootstrap, curve_minima, curve_minimum, hermite, interval
+from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
 from rtgs.scale.search import scan_thetas
@@ -523,6 +525,17 @@ def test_the_global_search_finds_the_truth_in_any_unit(seed: int) -> None:
     np.testing.assert_allclose(found, found[1], rtol=2e-3)
 
 
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_a_coarse_thermal_camera_and_half_of_the_view(share: float) -> None:
+    """Thermal pixels four times as large, or a camera that sees beyond the model: silhouettes and a part of the picture remain."""
+    camera = Camera("PINHOLE", 224, 192, 240.0, 240.0, 112.0, 96.0)
+    thermal = camera.resized(56, 48) if share == 0.25 else replace(camera.resized(112, 96), cx=10.0)
+    rig = replace(RIG, rgb=camera, thermal=thermal)
+    model = RgbModel(cloud(2), torch.full((3,), 0.4), RenderSettings(near_plane=0.05))
+    estimate = estimate_scale(drawn(model, orbit(), rig, 1.0, noise=0.3), model)
+    assert estimate.status == "ok" and estimate.sfm_per_metre == pytest.approx(1.0, rel=0.01)
+
+
 def test_the_search_ends_in_the_minimum_of_the_loss_itself() -> None:
     scene, model = synthetic()
     estimate = estimate_scale(scene, model, ScaleConfig(epsilon=0.05))
@@ -646,6 +659,78 @@ def test_descent_reaches_the_minimum_whatever_the_claimed_curvature(excess: floa
     )  # type: ignore[arg-type]
     assert theta == pytest.approx(0.3, abs=1e-4) and len(history.step) <= 12
     assert curvature == pytest.approx(2.0, rel=0.1)
+
+
+# --- what is an edge --------------------------------------------------------------------------------
+
+
+def test_mean_gradients_are_those_of_valid_pixels_level_by_level() -> None:
+    ramp = torch.arange(40.0).repeat(24, 1) * 0.01
+    mask = np.ones((24, 40), bool)
+    np.testing.assert_allclose(mean_gradients([ramp, 3 * ramp], mask, 3), [8 * 0.02, 16 * 0.02, 32 * 0.02], rtol=1e-4)
+    spoiled, mask[10, 7] = ramp.clone(), False
+    spoiled[10, 7] = float("nan")
+    np.testing.assert_allclose(mean_gradients([spoiled], mask, 2), [0.08, 0.16], rtol=1e-4)
+    assert mean_gradients([torch.zeros(24, 40)], mask, 1) == (1e-6,)
+
+
+def test_the_models_error_is_what_photographs_show_of_it() -> None:
+    scene, model = posts()
+    exact = assembled([scene.world_from_rgb["001"]], [scene.frames[1].thermal], RIG, photographs(scene, model, 0.0)[1:2])
+    assert model_error(exact, model, exact.frames[0]).abs().max() < 1e-5
+    frame = scene.frames[1]
+    noisy = model_error(scene, model, frame)
+    assert noisy.shape == (48, 56)
+    expected = 0.02 * math.sqrt(sum(w * w for w in GRAY_WEIGHTS))  # the noise of `photographs`, made gray
+    assert float(noisy.std()) == pytest.approx(expected, rel=0.05)
+    coarse = replace(scene, capture=replace(scene.capture, rig=replace(RIG, thermal=replace(RIG.thermal, fl_x=30.0, fl_y=30.0))))
+    assert model_error(coarse, model, frame).shape == (24, 28)  # the thermal camera's pixels per degree
+
+
+def stripes(rng: np.random.Generator, shape: tuple[int, int], size: float) -> np.ndarray:
+    """Readout noise of rows and columns, and vignetting."""
+    y, x = (np.linspace(-1, 1, n) for n in shape)
+    return size * (rng.normal(size=(shape[0], 1)) + rng.normal(size=(1, shape[1])) - 3 * (x[None] ** 2 + y[:, None] ** 2))
+
+
+def test_a_sensors_pattern_is_found_and_the_scene_left_alone() -> None:
+    rng, shape = np.random.default_rng(0), (60, 80)
+    pattern = stripes(rng, shape, 0.5)
+    noise = rng.normal(size=(24, *shape))
+    steady = np.zeros(shape)
+    steady[20:40, 30:50] = 5.0  # something that stays in the same place
+    for scene in (0.0 * steady, steady):
+        images = (20 + scene + pattern + noise).astype(np.float32)
+        found = sensor_pattern(images, np.ones(shape, bool))
+        fine = lambda image: image - gaussian_filter(image, 3.0)  # noqa: E731
+        assert np.corrcoef(fine(found).ravel(), fine(pattern).ravel())[0, 1] > 0.95
+        if scene is not steady:
+            assert np.corrcoef(found.ravel(), pattern.ravel())[0, 1] > 0.95
+        assert abs(fine(found) - fine(pattern)).max() < 1.0  # of the box's edge of 5, nothing
+    assert (
+        abs(sensor_pattern((20 + noise).astype(np.float32), np.ones(shape, bool))).max() < 0.4
+    )  # noise alone agrees with nothing
+    assert not sensor_pattern(images[:7], np.ones(shape, bool)).any()  # too few frames to tell
+
+
+def test_masked_pixels_of_a_pattern_are_not_looked_at() -> None:
+    rng, shape = np.random.default_rng(0), (40, 50)
+    images = (stripes(rng, shape, 0.5) + rng.normal(size=(12, *shape))).astype(np.float32)
+    mask = np.ones(shape, bool)
+    mask[:, :6] = False
+    spoiled = images.copy()
+    spoiled[:, ~mask] = 1e6
+    np.testing.assert_allclose(sensor_pattern(images, mask), sensor_pattern(spoiled, mask), atol=0.05)
+    assert not sensor_pattern(spoiled, mask)[~mask].any()
+
+
+def test_a_striped_sensor_does_not_move_the_scale() -> None:
+    scene, model = posts()
+    pattern = stripes(np.random.default_rng(3), (44, 56), 4.0)
+    images = [(f.thermal + pattern).astype(np.float32) for f in scene.frames]
+    striped = assembled(list(scene.world_from_rgb.values()), images, RIG, [f.rgb for f in scene.frames])
+    found = estimate_scale(striped, model)
+    assert found.status == "ok" and found.sfm_per_metre == pytest.approx(1.0, rel=0.01)
 
 
 # --- the calibration's share ------------------------------------------------------------------------

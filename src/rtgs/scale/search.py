@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtgs.models import RgbModel
 from rtgs.scale.descend import descend
-from rtgs.scale.noise import mean_gradients, model_error
+from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
 from rtgs.scale.objective import Objective, thermal_range
 from rtgs.scale.records import Counter, History
 from rtgs.scene import Frame, Scene
@@ -53,10 +53,16 @@ class Pictures:
         epsilon: float | None,
         counter: Counter,
     ) -> Pictures:
-        """Measure ε where none is given: the thermal images' from themselves, the model's from its errors against RGB images."""
+        """Remove the sensor's pattern, and measure ε where none is given.
+
+        The thermal images' ε comes from themselves, the renders' from the model's errors against RGB images.
+        """
         valid = scene.capture.thermal_mask
-        lo, hi = thermal_range([f.thermal[valid] for f in frames], 0.0)
-        thermal = {f.name: np.where(valid, (f.thermal - lo) / (hi - lo), 0.0).astype(np.float32) for f in frames}
+        pattern = sensor_pattern(np.stack([f.thermal for f in frames]), valid)
+        images = [f.thermal - pattern for f in frames]
+        lo, hi = thermal_range([image[valid] for image in images], 0.0)
+        scaled = [np.where(valid, (image - lo) / (hi - lo), 0.0).astype(np.float32) for image in images]
+        thermal = {f.name: image for f, image in zip(frames, scaled, strict=True)}
         levels = len(level_weights) + halvings(scene)
         if epsilon is not None:
             return Pictures(scene, model, thermal, level_weights, (epsilon,) * levels, (epsilon,) * levels)
