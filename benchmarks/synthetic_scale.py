@@ -1,10 +1,11 @@
-"""The scale of the seven synthetic scenes: the paper's Adam from a start within a factor two of the truth, and from a scan.
+"""The scale of the seven synthetic scenes: the global search, and the paper's Adam from near the truth and from a scan.
 
     python benchmarks/synthetic_scale.py --size 200 --out DIR [--scenes lego,chair] [--seed 0]
 
 For each scene: a capture is rendered, its points are triangulated from the given poses, the RGB model is trained, and the scale is
-found twice: from truth × s0, s0 ~ U(0.5, 2.0), with the paper's settings, and from the minimum of a scan, which needs no start. What
-is in DIR already is kept, scene by scene. `ground_truth.json` is read for the start and for the error alone.
+found three times: by the global search, the default; by the paper's Adam from truth × s0, s0 ~ U(0.5, 2.0); and by Adam from the
+minimum of a scan, which needs no start. What is in DIR already is kept, scene by scene. `ground_truth.json` is read for the start and
+for the error alone.
 
 Prints a Markdown table and writes `DIR/synthetic_scale.csv`. Times are processor seconds, all threads together.
 """
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import sys
 import time
 import zlib
@@ -49,10 +51,16 @@ class Row:
     scan_scale: float
     scan_error_pct: float
     scan_status: str
+    search_scale: float
+    search_error_pct: float
+    search_half_width_pct: float
+    search_status: str
+    search_renders: int
     sfm_s: float
     rgb_s: float
     adam_s: float
     scan_s: float
+    search_s: float
 
 
 class Timings:
@@ -102,8 +110,9 @@ def run_scene(folder: RunFolder, synth: SynthConfig, rgb: RgbConfig, scan_steps:
     scene, model = prepare(folder, synth, rgb, timings)
     truth = json.loads((folder.path / "capture" / "ground_truth.json").read_text(encoding="utf-8"))["sfm_per_metre"]
     factor = float(np.random.default_rng([synth.seed, zlib.crc32(synth.scene.encode())]).uniform(0.5, 2.0))
-    paper = estimate(folder, "scale_from_start", scene, model, ScaleConfig(init=truth * factor), timings)
-    free = estimate(folder, "scale_from_scan", scene, model, ScaleConfig(steps=scan_steps), timings)
+    paper = estimate(folder, "scale_from_start", scene, model, ScaleConfig(solver="adam", init=truth * factor), timings)
+    free = estimate(folder, "scale_from_scan", scene, model, ScaleConfig(solver="adam", steps=scan_steps), timings)
+    search = estimate(folder, "scale", scene, model, ScaleConfig(), timings)
     psnr = model.history["held_out_psnr"]
     return Row(
         scene=synth.scene,
@@ -118,10 +127,16 @@ def run_scene(folder: RunFolder, synth: SynthConfig, rgb: RgbConfig, scan_steps:
         scan_scale=free.sfm_per_metre,
         scan_error_pct=100 * abs(free.sfm_per_metre / truth - 1),
         scan_status=free.status,
+        search_scale=search.sfm_per_metre,
+        search_error_pct=100 * abs(search.sfm_per_metre / truth - 1),
+        search_half_width_pct=50 * math.log(search.ci95[1] / search.ci95[0]) if search.ci95 else float("nan"),
+        search_status=search.status,
+        search_renders=search.renders,
         sfm_s=timings.seconds["sfm"],
         rgb_s=timings.seconds["rgb"],
         adam_s=timings.seconds["scale_from_start"],
         scan_s=timings.seconds["scale_from_scan"],
+        search_s=timings.seconds["scale"],
     )
 
 
@@ -130,15 +145,17 @@ def markdown(rows: list[Row], title: str, scan_steps: int) -> str:
         f"### {title}",
         "",
         f"| scene | points | RGB PSNR, dB | Gaussians | true s | s0 / s | Adam: s | error, % | scan + {scan_steps} steps: s | error, % "
-        "| SfM, s | RGB, s | Adam, s | scan, s |",
-        "|---|" + "---:|" * 13,
+        "| search: s | error, % | ± (95 %), % | renders | SfM, s | RGB, s | Adam, s | scan, s | search, s |",
+        "|---|" + "---:|" * 18,
     ]
     for r in rows:
         scan = f"{r.scan_scale:.5g}" + ("" if r.scan_status == "ok" else f" ({r.scan_status})")
+        search = f"{r.search_scale:.5g}" + ("" if r.search_status == "ok" else f" ({r.search_status})")
         lines.append(
             f"| {r.scene} | {r.points:,} | {r.psnr_db:.2f} | {r.gaussians:,} | {r.true_scale:.5g} | {r.start_factor:.3f} "
             f"| {r.scale:.5g} | {r.error_pct:.2f} | {scan} | {r.scan_error_pct:.2f} "
-            f"| {r.sfm_s:.0f} | {r.rgb_s:.0f} | {r.adam_s:.0f} | {r.scan_s:.0f} |"
+            f"| {search} | {r.search_error_pct:.2f} | {r.search_half_width_pct:.2f} | {r.search_renders} "
+            f"| {r.sfm_s:.0f} | {r.rgb_s:.0f} | {r.adam_s:.0f} | {r.scan_s:.0f} | {r.search_s:.1f} |"
         )
     worst = max(rows, key=lambda r: r.error_pct)
     within = sum(r.error_pct <= 2 for r in rows)

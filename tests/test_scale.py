@@ -31,7 +31,7 @@ from rtgs.scale.interval import bootstrap, curve_minima, curve_minimum, hermite,
 from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
-from rtgs.scale.search import scan_thetas
+from rtgs.scale.search import Pictures, scan_thetas
 from rtgs.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
 from rtgs.sh import C0
 
@@ -685,6 +685,21 @@ def test_the_models_error_is_what_photographs_show_of_it() -> None:
     assert float(noisy.std()) == pytest.approx(expected, rel=0.05)
     coarse = replace(scene, capture=replace(scene.capture, rig=replace(RIG, thermal=replace(RIG.thermal, fl_x=30.0, fl_y=30.0))))
     assert model_error(coarse, model, frame).shape == (24, 28)  # the thermal camera's pixels per degree
+
+
+def test_an_epsilon_of_the_size_of_edges_rewards_larger_edges() -> None:
+    # Forwards is where edges grow. The thermal images are the model's own, so the minimum belongs at s = 1.
+    rig = replace(RIG, rgb_from_thermal=SE3(RIG.rgb_from_thermal.rotation, np.array([0.05, 0.02, 0.2])))
+    model = RgbModel(cloud(1), torch.full((3,), 0.4), RenderSettings(near_plane=0.05))
+    scene, thetas = drawn(model, orbit(), rig, 1.0), np.linspace(-0.1, 0.1, 21)
+    pictures = Pictures.of(scene, model, scene.train_frames, PAPER_LEVEL_WEIGHTS, None, Counter(None))
+    assert pictures.renders == 6
+    off = []
+    for epsilon in (pictures.render_epsilon, pictures.epsilon):
+        loss = replace(pictures, render_epsilon=epsilon).objective(scene.train_frames)
+        curves = np.array([[loss.loss(i, t) for t in thetas] for i in range(len(loss.frames))])
+        off.append(abs(curve_minimum(thetas, curves.mean(axis=0))))
+    assert off[0] < 0.01 and off[1] > 0.02
 
 
 def stripes(rng: np.random.Generator, shape: tuple[int, int], size: float) -> np.ndarray:
