@@ -89,14 +89,17 @@ class _Photometric(torch.autograd.Function):
         valid = np.zeros((0, 0), np.bool_) if pixels is None else pixels.numpy()
         image = np.empty_like(c)
         _compose(c, a, b, k, o, image)
-        value, gradient = 0.0, np.zeros_like(image)
+        value = 0.0
         if ssim_weight != 0.0:
             centres = None if windows is None else windows.numpy()
             similarity, gradient = ssim_and_gradient(image, t, centres, first=parity, stride=_SSIM_STRIDE)
             value = ssim_weight * (1.0 - similarity)
-        count = 3 * (valid.sum() if valid.size else alpha.numel())
-        g_alpha, sums = np.empty_like(a), np.empty((len(a), 10))
-        _decompose(c, a, b, k, image, t, valid, np.float32(1.0 / count), np.float32(-ssim_weight), gradient, g_alpha, sums)
+        else:
+            gradient = np.zeros_like(image)
+        l1_weight = np.float32(1.0 / (3 * (valid.sum() if valid.size else alpha.numel())))
+        g_alpha, sums = np.empty_like(a), np.empty((-(-len(a) // _BAND), 10))
+        b_row, k_row = np.tile(b, a.shape[1]), np.tile(k, a.shape[1])
+        _decompose(c, a, b_row, k_row, image, t, valid, l1_weight, np.float32(-ssim_weight), gradient, g_alpha, sums)
         total = sums.sum(axis=0)
         ctx.gradients = [torch.from_numpy(g) for g in (gradient, g_alpha, *np.split(total[1:].astype(np.float32), 3))]
         return color.new_tensor(total[0] + value)
@@ -110,6 +113,7 @@ class _Photometric(torch.autograd.Function):
 
 
 _FAST = {"nsz", "arcp", "contract", "reassoc", "afn"}  # a NaN has to stay visible
+_BAND = 16  # rows a thread takes at a time
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
@@ -129,25 +133,41 @@ def _compose(color, alpha, background, gain, offset, image):  # type: ignore[no-
 def _decompose(  # type: ignore[no-untyped-def]
     color, alpha, background, gain, image, target, valid, l1_weight, ssim_factor, gradient, g_alpha, sums
 ):
-    """`gradient` comes in as ∂SSIM/∂image and leaves as ∂loss/∂color; `sums` `[H, 10]` = ℓ1 | background | gain | offset."""
-    for y in prange(color.shape[0]):
-        for k in range(10):
-            sums[y, k] = 0.0
+    """`gradient` comes in as ∂SSIM/∂image and leaves as ∂loss/∂color. `background` and `gain` are `[3·W]`, repeated.
+
+    `sums` `[bands, 10]` = ℓ1 | background | gain | offset.
+    """
+    height, width = alpha.shape
+    for band in prange(len(sums)):
+        # Rows of 3·W floats, with what is said by pixel written out: then every sum is a vector.
+        through, counts = np.empty(3 * width, np.float32), np.full(3 * width, l1_weight)
+        parts = np.zeros((3, 3 * width), np.float32)
+        to_background, to_gain, to_offset = parts[0], parts[1], parts[2]
         l1 = np.float32(0.0)
-        for c in range(3):
-            through_sum, pure_sum, plain_sum = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            k, b = gain[c], background[c]
-            for x in range(color.shape[1]):
-                counts = l1_weight if valid.size == 0 or valid[y, x] else np.float32(0.0)
-                difference = image[y, x, c] - target[y, x, c]
-                l1 += counts * abs(difference)
-                g = ssim_factor * gradient[y, x, c] + counts * np.sign(difference)
-                through = np.float32(1.0) - alpha[y, x]
-                plain_sum += g
-                pure_sum += g * (color[y, x, c] + through * b)
-                g *= k
-                through_sum += g * through
-                gradient[y, x, c] = g
-                g_alpha[y, x] = -g * b if c == 0 else g_alpha[y, x] - g * b
-            sums[y, 1 + c], sums[y, 4 + c], sums[y, 7 + c] = through_sum, pure_sum, plain_sum
-        sums[y, 0] = l1
+        for y in range(band * _BAND, min(height, (band + 1) * _BAND)):
+            for x in range(width):
+                t = np.float32(1.0) - alpha[y, x]
+                through[3 * x], through[3 * x + 1], through[3 * x + 2] = t, t, t
+            if valid.size > 0:
+                for x in range(width):
+                    weight = l1_weight if valid[y, x] else np.float32(0.0)
+                    counts[3 * x], counts[3 * x + 1], counts[3 * x + 2] = weight, weight, weight
+            own, shown, wanted, g = color[y].ravel(), image[y].ravel(), target[y].ravel(), gradient[y].ravel()
+            for i in range(3 * width):
+                difference = shown[i] - wanted[i]
+                l1 += counts[i] * abs(difference)
+                slope = ssim_factor * g[i] + (counts[i] if difference > np.float32(0.0) else -counts[i])
+                to_offset[i] += slope
+                to_gain[i] += slope * (own[i] + through[i] * background[i])
+                to_background[i] += slope * gain[i] * through[i]
+                g[i] = slope * gain[i]
+            b0, b1, b2 = background[0], background[1], background[2]
+            for x in range(width):
+                g_alpha[y, x] = -(g[3 * x] * b0 + g[3 * x + 1] * b1 + g[3 * x + 2] * b2)
+        sums[band, 0] = l1
+        for k in range(3):
+            for c in range(3):
+                total = 0.0
+                for x in range(width):
+                    total += parts[k, 3 * x + c]
+                sums[band, 1 + 3 * k + c] = total

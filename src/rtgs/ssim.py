@@ -165,13 +165,15 @@ def ssim_and_gradient(
     flat = (height, width * channels)
     row_sums = np.empty(len(rows))
     margin = -(-2 * RADIUS_PX // stride)
-    # ∂S/∂(μa, E[aa], E[ab]) in a zero frame: the adjoint of a 'valid' filter is the same filter on the framed map.
-    slopes = np.zeros((3, len(rows) + 2 * margin, (width + 2 * RADIUS_PX) * channels), np.float32)
+    # w∗∂S/∂(μa, E[aa], E[ab]) along the row, between rows of zeros: the adjoint of a 'valid' filter is the same filter on the map
+    # in a frame of zeros.
+    slopes = np.empty((3, len(rows) + 2 * margin, width * channels), np.float32)
+    slopes[:, :margin], slopes[:, len(rows) + margin :] = 0.0, 0.0
     gradient = np.empty_like(a)
     weight = np.float32(1.0 / (count * channels))
     a_rows, b_rows = a.reshape(flat), b.reshape(flat)
     _similarity_rows(a_rows, b_rows, centres, channels, weight, first, stride, margin, row_sums, slopes)
-    _gradient_rows(a_rows, b_rows, slopes, channels, first, stride, margin, gradient.reshape(flat))
+    _gradient_rows(a_rows, b_rows, slopes, first, stride, margin, gradient.reshape(flat))
     return float(row_sums.sum()) / (count * channels), gradient
 
 
@@ -247,7 +249,7 @@ def _moments_of_columns(a, b, top, left, count, taps, out):  # type: ignore[no-u
             out[3 * _STRIDE + x] += tap * (p * q + r * s)
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=_FAST, cache=True, error_model="numpy")  # a check for zero divisors would keep the loop from being a vector
 def _similarity_of_moments(moments, weights, count, slopes):  # type: ignore[no-untyped-def]
     """Σ weight · S over the tile, and weight · ∂S/∂(μa, E[aa], E[ab]) into `slopes`."""
     total = np.float32(0.0)
@@ -292,13 +294,24 @@ def _columns_of(source, top, rows, left, count, taps, out, to):  # type: ignore[
                 out[to + x] += t0 * r0[x] + t1 * r1[x] + t2 * r2[x]
 
 
+@njit(fastmath=_FAST, cache=True)
+def _blur_row(source, count, channels, out):  # type: ignore[no-untyped-def]
+    """`out` `[count]` from `source` `[count + 10·C]`; the steps are literal for the reason given at `_blur_tile`."""
+    if channels == 3:
+        _blur_along_row(source, 0, count, 3, out, 0)
+    elif channels == 1:
+        _blur_along_row(source, 0, count, 1, out, 0)
+    else:
+        _blur_along_row(source, 0, count, channels, out, 0)
+
+
 @njit(parallel=True, fastmath=_FAST, cache=True)
 def _similarity_rows(  # type: ignore[no-untyped-def]
     a, b, centres, channels, weight, first, stride, margin, row_sums, slopes
 ):
     """row_sums[k] = Σ_x S of window row first + k·stride (masked, unweighted).
 
-    `slopes` `[3, rows + 2·margin, (W + 10)·C]` = weight · ∂S/∂moments inside a frame of `margin` rows and 10 px.
+    `slopes` `[3, rows + 2·margin, W·C]`, from row `margin` on: weight · ∂S/∂moments, blurred along the row.
     """
     n = a.shape[1] - 2 * RADIUS_PX * channels
     reach = 2 * RADIUS_PX * channels
@@ -307,6 +320,7 @@ def _similarity_rows(  # type: ignore[no-untyped-def]
         moments = np.empty(4 * _STRIDE, np.float32)
         slope = np.empty(3 * _STRIDE, np.float32)
         weights = np.ones(_TILE, np.float32)
+        framed = np.zeros((3, n + 2 * reach), np.float32)
         for k in range(band * _BAND, min(len(row_sums), (band + 1) * _BAND)):
             total = 0.0
             for left in range(0, n, _TILE):
@@ -318,18 +332,19 @@ def _similarity_rows(  # type: ignore[no-untyped-def]
                         weights[x] = centres[k, (left + x) // channels]
                 total += _similarity_of_moments(moments, weights, count, slope)
                 for q in range(3):
-                    slopes_row = slopes[q, k + margin, left + reach : left + reach + count]
+                    inside = framed[q, reach + left : reach + left + count]
                     for x in range(count):
-                        slopes_row[x] = weight * slope[q * _STRIDE + x]
+                        inside[x] = weight * slope[q * _STRIDE + x]
             row_sums[k] = total
+            for q in range(3):
+                _blur_row(framed[q], n + reach, channels, slopes[q, k + margin])
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
-def _gradient_rows(a, b, slopes, channels, first, stride, margin, gradient):  # type: ignore[no-untyped-def]
+def _gradient_rows(a, b, slopes, first, stride, margin, gradient):  # type: ignore[no-untyped-def]
     """∂/∂a = w∗(∂S/∂μa) + 2a · w∗(∂S/∂E[aa]) + b · w∗(∂S/∂E[ab]): the chain rule through three symmetric filters."""
     rows, n = a.shape
     for band in prange((rows + _BAND - 1) // _BAND):
-        columns = np.empty(3 * _STRIDE, np.float32)
         slope = np.empty(3 * _STRIDE, np.float32)
         taps = np.zeros(2 * RADIUS_PX + 3, np.float32)
         for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
@@ -342,9 +357,7 @@ def _gradient_rows(a, b, slopes, channels, first, stride, margin, gradient):  # 
             for left in range(0, n, _TILE):
                 count = min(_TILE, n - left)
                 for q in range(3):
-                    reach = count + 2 * RADIUS_PX * channels
-                    _columns_of(slopes[q], lowest + margin, highest - lowest + 1, left, reach, taps, columns, q * _STRIDE)
-                _blur_tile(columns, 3, count, channels, slope)
+                    _columns_of(slopes[q], lowest + margin, highest - lowest + 1, left, count, taps, slope, q * _STRIDE)
                 a_row, b_row, out = a[y, left : left + count], b[y, left : left + count], gradient[y, left : left + count]
                 for x in range(count):
                     out[x] = slope[x] + np.float32(2.0) * a_row[x] * slope[_STRIDE + x] + b_row[x] * slope[2 * _STRIDE + x]
