@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rtgs.io.capture import load_capture
     from rtgs.io.ply import read_ply, write_ply
     from rtgs.models import RgbModel, ThermalModel
-    from rtgs.render import Render, RenderSettings, render
+    from rtgs.render import Direction, LinearRender, LinearViews, Render, RenderSettings, Tangents, render, render_with_tangents
     from rtgs.scale import ScaleEstimate, estimate_scale
     from rtgs.scene import Capture, Frame, Rig, Scene
     from rtgs.sfm import run_sfm
@@ -51,7 +51,16 @@ _WHERE = {
     "io.capture": ("load_capture",),
     "io.ply": ("read_ply", "write_ply"),
     "models": ("RgbModel", "ThermalModel"),
-    "render": ("Render", "RenderSettings", "render"),
+    "render": (
+        "Direction",
+        "LinearRender",
+        "LinearViews",
+        "Render",
+        "RenderSettings",
+        "Tangents",
+        "render",
+        "render_with_tangents",
+    ),
     "scale": ("ScaleEstimate", "estimate_scale"),
     "scene": ("Capture", "Frame", "Rig", "Scene"),
     "sfm": ("run_sfm",),
@@ -61,8 +70,11 @@ __all__ = [
     "SE3",
     "Camera",
     "Capture",
+    "Direction",
     "Frame",
     "Gaussians",
+    "LinearRender",
+    "LinearViews",
     "Render",
     "RenderSettings",
     "RgbConfig",
@@ -74,6 +86,7 @@ __all__ = [
     "Scene",
     "SfmConfig",
     "Sim3",
+    "Tangents",
     "ThermalConfig",
     "ThermalModel",
     "estimate_scale",
@@ -83,6 +96,7 @@ __all__ = [
     "load_capture",
     "read_ply",
     "render",
+    "render_with_tangents",
     "run_sfm",
     "write_ply",
 ]
