@@ -123,7 +123,7 @@ class _Preset:
 # Chosen on validation frames among the training frames of a real capture; `benchmarks/train.py` measures them.
 _PRESETS: dict[Quality, _Preset] = {
     "fast": _Preset(steps=1500, sh_degree=1, pixels_each=8.0),
-    "default": _Preset(steps=4000, sh_degree=2, pixels_each=4.0),
+    "default": _Preset(steps=7000, sh_degree=2, pixels_each=4.0),
     "best": _Preset(steps=10_000, sh_degree=3, pixels_each=4.0),
 }
 
