@@ -92,9 +92,9 @@ def train(name: str, scene: rtgs.Scene, config: RgbConfig, threads: int, out: Pa
             list(history["held_out_psnr"]),
         )
         settings = {"background": model.background.tolist(), "settings": asdict(model.settings)}
-        write_json(record, {"curve": asdict(curve), "config": repr(config), **settings})
+        write_json(record, {"curve": asdict(curve), "config": repr(config.resolved()), **settings})
     data = json.loads(record.read_text(encoding="utf-8"))
-    if data["config"] != repr(config) or data["curve"]["threads"] != threads:
+    if data["config"] != repr(config.resolved()) or data["curve"]["threads"] != threads:
         raise SystemExit(f"{record}: was trained with other settings or threads; name another --out")
     return Curve(**data["curve"])
 

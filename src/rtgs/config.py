@@ -120,7 +120,7 @@ class _Preset:
     pixels_each: float
 
 
-# Chosen on validation frames among the training frames of a real capture; `benchmarks/train.py` measures them.
+# What two cores do in a minute, in minutes, and where more steps gain little; `benchmarks/train.py` measures them.
 _PRESETS: dict[Quality, _Preset] = {
     "fast": _Preset(steps=1500, sh_degree=1, pixels_each=8.0),
     "default": _Preset(steps=7000, sh_degree=2, pixels_each=4.0),
