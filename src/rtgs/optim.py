@@ -5,8 +5,7 @@ Kingma & Ba, "Adam: A Method for Stochastic Optimization" (2015), Algorithm 1, a
     m ← β1 m + (1 − β1) g,   v ← β2 v + (1 − β2) g²,   p ← p − rate · m / (1 − β1ᵗ) / (√(v / (1 − β2ᵗ)) + ε)
 
 Every element of a parameter is updated, seen or not. Leaving out the Gaussians that a view does not show (selective Adam, Mallick et
-al. 2024) takes longer here: half of 100,000 rows, picked at random, took 1.7 times as long as all of them, because the pass is bound by
-memory.
+al. 2024) was slower here: the pass is bound by memory, and rows picked from all over it take longer than all of them in turn.
 """
 
 from __future__ import annotations
