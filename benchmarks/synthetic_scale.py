@@ -112,7 +112,7 @@ def run_scene(folder: RunFolder, synth: SynthConfig, rgb: RgbConfig, scan_steps:
     factor = float(np.random.default_rng([synth.seed, zlib.crc32(synth.scene.encode())]).uniform(0.5, 2.0))
     paper = estimate(folder, "scale_from_start", scene, model, ScaleConfig(solver="adam", init=truth * factor), timings)
     free = estimate(folder, "scale_from_scan", scene, model, ScaleConfig(solver="adam", steps=scan_steps), timings)
-    search = estimate(folder, "scale", scene, model, ScaleConfig(), timings)
+    search = estimate(folder, "scale", scene, model, ScaleConfig(solver="global"), timings)
     psnr = model.history["held_out_psnr"]
     return Row(
         scene=synth.scene,

@@ -41,6 +41,7 @@ RIG = Rig(
     SE3(rotation_from_axis_angle([0.02, -0.03, 0.04]), np.array([0.16, -0.07, 0.03])),
 )
 NO_POINTS = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
+GLOBAL = ScaleConfig(solver="global")
 QUICK = ScaleConfig(solver="adam", steps=50, learning_rate=0.02, scan_samples=32)
 
 
@@ -513,7 +514,7 @@ def test_the_global_search_finds_the_truth_in_any_unit(seed: int) -> None:
             eye = np.array([2.8 * math.cos(angle), 2.8 * math.sin(angle), 0.5 + 0.4 * math.sin(2.1 * k)])
             poses.append(look_at(eye, [0, 0, 0]).with_baseline_scaled(unit * truth))
         scene = drawn(model, poses, rig, unit * truth, noise=0.3)
-        estimate = estimate_scale(scene, model)
+        estimate = estimate_scale(scene, model, GLOBAL)
         assert estimate.solver == "global" and estimate.status == "ok" and estimate.reason == ""
         assert estimate.sfm_per_metre == pytest.approx(unit * truth, rel=0.01)
         assert estimate.ci95 is not None and estimate.std_log is not None
@@ -532,13 +533,13 @@ def test_a_coarse_thermal_camera_and_half_of_the_view(share: float) -> None:
     thermal = camera.resized(56, 48) if share == 0.25 else replace(camera.resized(112, 96), cx=10.0)
     rig = replace(RIG, rgb=camera, thermal=thermal)
     model = RgbModel(cloud(2), torch.full((3,), 0.4), RenderSettings(near_plane=0.05))
-    estimate = estimate_scale(drawn(model, orbit(), rig, 1.0, noise=0.3), model)
+    estimate = estimate_scale(drawn(model, orbit(), rig, 1.0, noise=0.3), model, GLOBAL)
     assert estimate.status == "ok" and estimate.sfm_per_metre == pytest.approx(1.0, rel=0.01)
 
 
 def test_the_search_ends_in_the_minimum_of_the_loss_itself() -> None:
     scene, model = synthetic()
-    estimate = estimate_scale(scene, model, ScaleConfig(epsilon=0.05))
+    estimate = estimate_scale(scene, model, ScaleConfig(solver="global", epsilon=0.05))
     loss = Objective(
         scene, model.gaussians, model.background, model.settings, scene.train_frames,
         level_weights=PAPER_LEVEL_WEIGHTS, epsilon=0.05,
@@ -552,14 +553,14 @@ def test_the_search_ends_in_the_minimum_of_the_loss_itself() -> None:
 def test_progress_of_the_search_ends_at_its_end() -> None:
     scene, model = synthetic()
     seen: list[tuple[int, int]] = []
-    estimate = estimate_scale(scene, model, progress=lambda done, total, _: seen.append((done, total)))
+    estimate = estimate_scale(scene, model, GLOBAL, progress=lambda done, total, _: seen.append((done, total)))
     assert [done for done, _ in seen] == list(range(1, len(seen) + 1))
     assert seen[-1][0] == seen[-1][1] <= estimate.renders
 
 
 def test_a_start_spares_the_scan() -> None:
     scene, model = synthetic()
-    estimate = estimate_scale(scene, model, ScaleConfig(init=1.15))
+    estimate = estimate_scale(scene, model, ScaleConfig(solver="global", init=1.15))
     assert estimate.scan is None and estimate.init == pytest.approx(1.15)
     assert estimate.sfm_per_metre == pytest.approx(1.0, rel=0.01)
 
@@ -590,15 +591,15 @@ def facing_walls(depth: float, stripes: int | None, noise: float, frames: int = 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_a_far_wall_tells_nothing_and_says_so(noise: float) -> None:
     scene, model = facing_walls(400.0, None, noise)  # the baseline moves the picture by 0.03 px
-    estimate = estimate_scale(scene, model)
+    estimate = estimate_scale(scene, model, GLOBAL)
     assert estimate.status == "unobservable" and "below" in estimate.reason
-    near = estimate_scale(*facing_walls(2.0, None, noise))
+    near = estimate_scale(*facing_walls(2.0, None, noise), GLOBAL)
     assert near.status == "ok" and near.sfm_per_metre == pytest.approx(1.0, rel=0.02)
 
 
 def test_a_picket_fence_is_ambiguous() -> None:
     # 0.2 m at 2 m is 6.4 px; four columns of the wall are 10.4 px, so 16.8 px fit as well: no edge of the wall is in view.
-    estimate = estimate_scale(*facing_walls(2.0, 4, 1.0))
+    estimate = estimate_scale(*facing_walls(2.0, 4, 1.0), GLOBAL)
     assert estimate.status == "ambiguous", estimate
     everything = [estimate.sfm_per_metre, *(m.sfm_per_metre for m in estimate.minima)]
     assert min(abs(s - 1.0) for s in everything) < 0.03
@@ -614,8 +615,8 @@ def test_a_wrong_pair_is_named() -> None:
     wrong = assembled(
         poses, [images[swapped.get(f.name, f.name)] for f in scene.frames], scene.rig, [f.rgb for f in scene.frames]
     )
-    assert estimate_scale(scene, model).disagreeing == []
-    estimate = estimate_scale(wrong, model)
+    assert estimate_scale(scene, model, GLOBAL).disagreeing == []
+    estimate = estimate_scale(wrong, model, GLOBAL)
     assert set(estimate.disagreeing) == set(swapped)
     assert estimate.sfm_per_metre == pytest.approx(1.0, rel=0.03)
 
@@ -744,7 +745,7 @@ def test_a_striped_sensor_does_not_move_the_scale() -> None:
     pattern = stripes(np.random.default_rng(3), (44, 56), 4.0)
     images = [(f.thermal + pattern).astype(np.float32) for f in scene.frames]
     striped = assembled(list(scene.world_from_rgb.values()), images, RIG, [f.rgb for f in scene.frames])
-    found = estimate_scale(striped, model)
+    found = estimate_scale(striped, model, GLOBAL)
     assert found.status == "ok" and found.sfm_per_metre == pytest.approx(1.0, rel=0.01)
 
 
@@ -778,7 +779,7 @@ def test_a_calibration_error_moves_the_scale_as_predicted(k: int) -> None:
     found = []
     for amount in (-size, size):
         off = replace(scene, capture=replace(scene.capture, rig=change(RIG, amount)))
-        found.append(estimate_scale(off, model, ScaleConfig(init=1.0, epsilon=0.05)).sfm_per_metre)
+        found.append(estimate_scale(off, model, ScaleConfig(solver="global", init=1.0, epsilon=0.05)).sfm_per_metre)
     moved = math.log(found[1] / found[0]) / 2
     # First order, of a loss that is far from quadratic: 40 %, and a tenth of a pixel where nothing moves.
     assert moved == pytest.approx(predicted, rel=0.4, abs=4e-3)
@@ -805,7 +806,7 @@ def test_the_interval_takes_the_calibration_in() -> None:
     stated = replace(
         scene, capture=replace(scene.capture, rig=replace(RIG, calibration_std=CalibrationStd(baseline_length=0.03)))
     )
-    plain, wide = (estimate_scale(s, model, ScaleConfig(init=1.0)) for s in (scene, stated))
+    plain, wide = (estimate_scale(s, model, ScaleConfig(solver="global", init=1.0)) for s in (scene, stated))
     assert plain.calibration_std_log is None and wide.calibration_std_log == 0.03
     assert wide.sfm_per_metre == plain.sfm_per_metre
     assert plain.std_log is not None and wide.std_log == pytest.approx(math.hypot(plain.std_log, 0.03), rel=1e-6)

@@ -42,6 +42,7 @@ _SYNTH = SynthConfig()
 DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
 DEMO_RUN = RunConfig(
     rgb=RgbConfig(steps=1500),
+    scale=ScaleConfig(batch=12),
     thermal=ThermalConfig(steps=500),
 )
 
