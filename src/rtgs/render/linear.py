@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -29,7 +30,7 @@ class LinearRender:
 
     Args:
         gaussians: geometry and opacity; its colours are not looked at.
-        channels: C of the colours that will be given.
+        channels: C of the colours that will be given, at most; checked here rather than in the middle of long work.
         settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
 
     Raises:
@@ -126,8 +127,9 @@ class _Cpu:
         self.alpha = torch.from_numpy(alpha)
 
     def image(self, colors: Tensor) -> Tensor:
-        self._splats.set_colors(colors.detach().numpy())
-        return torch.from_numpy(self._splats.blend()[0])
+        splats = replace(self._splats, channels=colors.shape[1])
+        splats.set_colors(colors.detach().numpy())
+        return torch.from_numpy(splats.blend()[0])
 
     def adjoint(self, image: Tensor) -> Tensor:
         return torch.from_numpy(self._splats.adjoint(np.ascontiguousarray(image.detach().numpy(), dtype=np.float32), self._used))
@@ -165,7 +167,7 @@ class _Reference:
         return self._draw(colors.detach())[0]
 
     def adjoint(self, image: Tensor) -> Tensor:
-        colors = self._colors.clone().requires_grad_()
+        colors = self._colors[:, :1].repeat(1, image.shape[2]).requires_grad_()
         with torch.enable_grad():
             picture = self._draw(colors)[0]
         if not picture.requires_grad:
