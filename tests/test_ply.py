@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 from numpy.lib.recfunctions import repack_fields
 from plyfile import PlyData, PlyElement
 
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
-from rtgs.io.ply import read_ply, read_thermal_ply, write_ply
+from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.sh import C0
 
 
@@ -76,6 +77,35 @@ def test_thermal_model_looks_gray_and_carries_its_temperature(tmp_path: Path) ->
     back = read_thermal_ply(tmp_path / "thermal.ply")
     assert back.celsius_range == (10.1, 30.3)
     assert_same(original, back.gaussians)
+
+
+def test_another_reader_finds_the_thermal_properties(tmp_path: Path) -> None:
+    """trimesh keeps what it does not know, as CloudCompare does; `read_ply` and viewers pass over it."""
+    original, given = model(1, 1), {}
+    for i, name in enumerate(THERMAL_PROPERTIES):
+        given[name] = np.linspace(i, i + 1, len(original)).astype(np.float32)
+    write_ply(tmp_path / "thermal.ply", original, celsius_range=(10.0, 30.0), properties=given)
+    cloud = trimesh.load(tmp_path / "thermal.ply")
+    stored = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    vertex = PlyData.read(str(tmp_path / "thermal.ply"))["vertex"].data
+    assert vertex.dtype.names[-3:] == ("temperature", "temperature_std", "views")  # behind all that viewers look for
+    for name, values in given.items():
+        np.testing.assert_array_equal(np.ravel(stored[name]), values)
+        np.testing.assert_array_equal(vertex[name], values)
+    assert_same(original, read_ply(tmp_path / "thermal.ply"))
+    back = read_thermal_ply(tmp_path / "thermal.ply").properties
+    assert list(back) == list(given) and all(np.array_equal(back[k], given[k]) for k in given)
+
+
+def test_other_properties_are_refused(tmp_path: Path) -> None:
+    values = np.zeros(7, np.float32)
+    with pytest.raises(ValueError, match="temperature_std"):
+        write_ply(tmp_path / "a.ply", model(0, 1), properties={"opacity": values})
+    with pytest.raises(ValueError, match="thermal model"):
+        write_ply(tmp_path / "a.ply", model(0, 3), properties={"views": values})
+    with pytest.raises(RtgsError, match="views holds NaN"):
+        write_ply(tmp_path / "a.ply", model(0, 1), properties={"views": values * np.nan})
+    assert not list(tmp_path.iterdir())
 
 
 def test_relative_thermal_model_has_no_temperature(tmp_path: Path) -> None:

@@ -3,13 +3,15 @@
 One vertex a Gaussian: `x y z`, `nx ny nz` (zero), `f_dc_0…2`, `f_rest_0…3(K−1)−1`, `opacity` (logit), `scale_0…2` (ln),
 `rot_0…3` (wxyz). `f_rest` runs channel by channel: all K − 1 coefficients of red, then green, then blue.
 
-A thermal model has one channel. Viewers expect three, so it is written three times over (they show it gray), with a
-`temperature` property beside it and comments from which reading takes it back to exactly one channel.
+A thermal model has one channel. Viewers expect three, so it is written three times over (they show it gray), with properties of
+floats beside it that viewers pass over (`temperature`, °C; `temperature_std`, its standard error; `views`, how many see the Gaussian)
+and comments from which reading takes it back to exactly one channel.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.sh import C0
 
+THERMAL_PROPERTIES = ("temperature", "temperature_std", "views")
 _THERMAL = "rtgs thermal"
 _RANGE = "rtgs celsius_range"
 _DEGREE_OF_REST = {0: 0, 9: 1, 24: 2, 45: 3}
@@ -30,24 +33,35 @@ _DEGREE_OF_REST = {0: 0, 9: 1, 24: 2, 45: 3}
 
 @dataclass(frozen=True, eq=False)
 class ThermalPly:
-    """A thermal model and the temperatures that colours 0 and 1 stand for, °C; None where the capture had no radiometry."""
+    """A thermal model and the temperatures that colours 0 and 1 stand for, °C; None where the capture had no radiometry.
+
+    `properties` are the float properties beside it, `[N]` each.
+    """
 
     gaussians: Gaussians
     celsius_range: tuple[float, float] | None
+    properties: Mapping[str, NDArray[np.float32]]
 
 
-def write_ply(path: Path, gaussians: Gaussians, *, celsius_range: tuple[float, float] | None = None) -> None:
+def write_ply(
+    path: Path,
+    gaussians: Gaussians,
+    *,
+    celsius_range: tuple[float, float] | None = None,
+    properties: Mapping[str, NDArray[np.float32]] | None = None,
+) -> None:
     """Write a model as binary little-endian float32; `path` appears whole or not at all.
 
     Args:
         path: its folder must exist.
         gaussians: three channels, or one: a thermal model.
         celsius_range: °C at colour 0 and at colour 1, for thermal models only. Adds the property `temperature`, °C: the colour
-            without its view-dependent part, max(0, ½ + C0 · dc), mapped linearly.
+            without its view-dependent part, max(0, ½ + C0 · dc), mapped linearly, unless `properties` has a better one.
+        properties: names in `THERMAL_PROPERTIES` and `[N]` each, for thermal models only.
 
     Raises:
         RtgsError: the model holds NaN or infinity, or the file cannot be written.
-        ValueError: neither one nor three channels, or a range for a model that is not thermal.
+        ValueError: neither one nor three channels, or a range or properties for a model that is not thermal, or another name.
     """
     path = Path(path)
     thermal = gaussians.channels == 1
@@ -55,7 +69,10 @@ def write_ply(path: Path, gaussians: Gaussians, *, celsius_range: tuple[float, f
         raise ValueError(f"a PLY holds 3 channels, or 1 for a thermal model; got {gaussians.channels}")
     if celsius_range is not None and not thermal:
         raise ValueError("celsius_range is for a thermal model, of one channel")
-    arrays = {name: _numpy(t) for name, t in gaussians.tensors().items()}
+    properties = properties or {}
+    if not (thermal or not properties) or not set(properties) <= set(THERMAL_PROPERTIES):
+        raise ValueError(f"properties are {', '.join(THERMAL_PROPERTIES)}, of a thermal model; got {', '.join(properties)}")
+    arrays = {name: _numpy(t) for name, t in gaussians.tensors().items()} | dict(properties)
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise RtgsError(f"{path}: not written, the model's {name} holds NaN or infinity")
@@ -74,6 +91,7 @@ def write_ply(path: Path, gaussians: Gaussians, *, celsius_range: tuple[float, f
         lo, hi = (float(v) for v in celsius_range)
         comments.append(f"{_RANGE} {lo!r} {hi!r}")
         columns["temperature"] = (lo + (hi - lo) * np.maximum(0.0, 0.5 + C0 * sh[:, 0, 0].astype(np.float64))).astype(np.float32)
+    columns |= properties
     vertices = np.empty(count, dtype=[(name, "<f4") for name in columns])
     for name, column in columns.items():
         vertices[name] = column
@@ -108,7 +126,7 @@ def read_thermal_ply(path: Path) -> ThermalPly:
     Raises:
         RtgsError: as `read_ply`, or the file is not a thermal model.
     """
-    gaussians, comments = _read(Path(path))
+    gaussians, comments, properties = _read(Path(path))
     if gaussians.channels != 1:
         raise RtgsError(f"{path}: not a thermal model (no comment '{_THERMAL}' in its header)")
     for comment in comments:
@@ -117,11 +135,11 @@ def read_thermal_ply(path: Path) -> ThermalPly:
                 lo, hi = (float(v) for v in comment[len(_RANGE) :].split())
             except ValueError:
                 raise RtgsError(f"{path}: unreadable comment '{comment}' (expected two temperatures)") from None
-            return ThermalPly(gaussians, (lo, hi))
-    return ThermalPly(gaussians, None)
+            return ThermalPly(gaussians, (lo, hi), properties)
+    return ThermalPly(gaussians, None, properties)
 
 
-def _read(path: Path) -> tuple[Gaussians, list[str]]:
+def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float32]]]:
     try:
         ply = PlyData.read(str(path))
     except OSError as error:
@@ -159,7 +177,8 @@ def _read(path: Path) -> tuple[Gaussians, list[str]]:
         opacity_logits=torch.from_numpy(_field(path, data, names, "opacity")),
         sh=torch.from_numpy(np.ascontiguousarray(sh)),
     )
-    return gaussians, list(ply.comments)
+    properties = {p: _field(path, data, names, p) for p in THERMAL_PROPERTIES if p in names and _THERMAL in ply.comments}
+    return gaussians, list(ply.comments), properties
 
 
 def _field(path: Path, data: NDArray[np.void], names: set[str], field: str) -> NDArray[np.float32]:
