@@ -21,7 +21,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import quat_from_rotation
 from rtgs.io.capture import load_capture
 from rtgs.io.ply import read_ply, read_thermal_ply
-from rtgs.models import RgbModel, ThermalModel
+from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
 from rtgs.pipeline import RunFolder
 from rtgs.pipeline.export import scaled_scene
 from rtgs.radiometry import LinearRange
@@ -88,7 +88,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     level = float(RANGE.normalise(np.array(WALL_C)))
     folder.write_rgb(RgbModel(gaussians, torch.zeros(3), settings))
     warm = replace(gaussians, sh=torch.full((len(gaussians), 1, 1), (level - 0.5) / C0))
-    folder.write_thermal(ThermalModel(warm, torch.tensor([level]), RANGE, settings, SFM_PER_METRE), celsius=True)
+    known = GaussianTemperatures(*(np.linspace(a, a + 1, len(warm)).astype(np.float32) for a in (WALL_C, 0.1, 5.0)))
+    thermal = ThermalModel(warm, torch.tensor([level]), RANGE, settings, SFM_PER_METRE, temperatures=known)
+    folder.write_thermal(thermal, celsius=True)
     exported = {metres: root / f"metres-{metres}" for metres in (False, True)}
     for metres, out in exported.items():
         main(["export", str(folder.path), "--out", str(out), *(["--metres"] if metres else [])])
@@ -142,7 +144,12 @@ def test_only_lengths_of_a_model_change(run: Run, name: str) -> None:
     torch.testing.assert_close(scaled.means, original.means / SFM_PER_METRE)
     torch.testing.assert_close(scaled.log_scales, original.log_scales - math.log(SFM_PER_METRE))
     if name == "thermal":
-        assert read_thermal_ply(run.exported[True] / "thermal.ply").celsius_range == (RANGE.lo, RANGE.hi)
+        ply = read_thermal_ply(run.exported[True] / "thermal.ply")
+        assert ply.celsius_range == (RANGE.lo, RANGE.hi)
+        stored = run.folder.read_thermal().temperatures
+        assert stored is not None and stored.std[0] == np.float32(0.1)
+        for a, b in zip(ply.properties.values(), (stored.temperature, stored.std, stored.views), strict=True):
+            np.testing.assert_array_equal(a, b)
 
 
 def test_another_reader_opens_the_model(run: Run) -> None:

@@ -1,4 +1,4 @@
-"""The thermal fit: frozen geometry, known temperatures found again, nothing learnt from held-out frames."""
+"""The paper's thermal fit: frozen geometry, known temperatures found again, nothing learnt from held-out frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RIG = Rig(
     SE3(rotation_from_axis_angle([0.02, -0.03, 0.04]), np.array([0.25, -0.07, 0.03])),
 )
 SFM_PER_METRE = 1.7
-QUICK = ThermalConfig(steps=20)
+QUICK = ThermalConfig(solver="adam", steps=20)
 
 
 def assembled(poses: list[SE3], thermal: list[np.ndarray], *, unit: str = "celsius", mask: np.ndarray | None = None) -> Scene:
@@ -86,7 +86,7 @@ def known() -> tuple[Scene, RgbModel, ThermalModel]:
 @lru_cache(maxsize=4)
 def fitted(sfm_per_metre: float = SFM_PER_METRE) -> ThermalModel:
     scene, rgb, _ = known()
-    return fit_thermal(scene, rgb, sfm_per_metre, ThermalConfig(steps=400, learning_rate=3e-2))
+    return fit_thermal(scene, rgb, sfm_per_metre, ThermalConfig(solver="adam", steps=400, learning_rate=3e-2))
 
 
 def held_out_error_c(scene: Scene, model: ThermalModel) -> float:
@@ -181,11 +181,11 @@ def test_ssim_weight_has_a_say() -> None:
 
 def test_noise_start_is_seeded() -> None:
     scene, rgb, _ = known()
-    noisy = ThermalConfig(steps=0, initial_noise=0.3)
+    noisy = ThermalConfig(solver="adam", steps=0, initial_noise=0.3)
     a, b, c = (fit_thermal(scene, rgb, SFM_PER_METRE, replace(noisy, seed=s)).gaussians.sh for s in (5, 5, 6))
     assert torch.equal(a, b) and not torch.equal(a, c)
     assert a.std() == pytest.approx(0.3, rel=0.1) and a.mean() == pytest.approx(0.0, abs=0.05)
-    clean = fit_thermal(scene, rgb, SFM_PER_METRE, ThermalConfig(steps=0))
+    clean = fit_thermal(scene, rgb, SFM_PER_METRE, ThermalConfig(solver="adam", steps=0))
     assert (clean.gaussians.sh == 0).all()  # the middle of the range
 
 

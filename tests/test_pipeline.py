@@ -27,7 +27,7 @@ from rtgs.cli import main
 from rtgs.config import RunConfig, from_json, to_json
 from rtgs.errors import RtgsError
 from rtgs.io.colmap import read_sparse
-from rtgs.io.ply import read_ply, read_thermal_ply, write_ply
+from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.pictures import to_picture
 from rtgs.pipeline import STAGES, Pipeline, RunFolder
 from rtgs.pipeline.folder import fingerprints
@@ -187,8 +187,10 @@ def test_a_run_writes_what_the_conventions_name(capture: Path, finished: Path) -
     assert camera.width == SYNTH.size and len(poses.world_from_rgb) == SYNTH.frames
 
     assert len(read_ply(finished / "rgb.ply")) > 250  # it grew
-    span = read_thermal_ply(finished / "thermal.ply").celsius_range
-    assert span is not None and "temperature" in PlyData.read(str(finished / "thermal.ply"))["vertex"].data.dtype.names
+    colors = read_thermal_ply(finished / "thermal.ply").celsius_range
+    thermal = PlyData.read(str(finished / "thermal.ply"))["vertex"].data
+    assert set(THERMAL_PROPERTIES) < set(thermal.dtype.names) and (thermal["temperature_std"] > 0).all()
+    assert set(thermal["views"]) <= set(range(SYNTH.frames - len(HELD_OUT) + 1)) and thermal["views"].max() > 0
 
     scale = strict_json(finished / "scale.json")
     assert scale["ci95"][0] <= scale["sfm_per_metre"] <= scale["ci95"][1]
@@ -199,7 +201,11 @@ def test_a_run_writes_what_the_conventions_name(capture: Path, finished: Path) -
     for model, scores in (("rgb", ()), ("thermal", ("mae_c",)), ("thermal_naive", ("mae_c",))):
         assert set(metrics[model]) == {"psnr", "ssim", "per_frame", *scores}
         assert set(metrics[model]["per_frame"]) == set(HELD_OUT)
-    assert metrics["temperature_range_c"] == pytest.approx(span)
+    span = metrics["temperature_range_c"]
+    assert colors is not None and colors[0] <= span[0] < span[1] == pytest.approx(colors[1])
+    found = RunFolder(finished).read_thermal()
+    assert (found.range.lo, found.range.hi) == (span[0], span[1]) and (found.colors.lo, found.colors.hi) == colors
+    assert found.temperatures is not None and np.array_equal(found.temperatures.std, thermal["temperature_std"])
     assert set(metrics["timings_s"]) == set(TITLES) and min(metrics["timings_s"].values()) > 0
 
     expected = {f"{k}/{n}.{w}.png" for k in ("rgb", "thermal") for n in HELD_OUT for w in ("reference", "render", "error")}

@@ -41,16 +41,34 @@ class RgbModel:
 
 
 @dataclass(frozen=True, eq=False)
+class GaussianTemperatures:
+    """What the training views say of each Gaussian.
+
+    Attributes:
+        temperature, std: `[N]` float32, °C (or counts): what they see on average, and its standard error.
+        views: `[N]` float32, how many of them see it.
+    """
+
+    temperature: NDArray[np.float32]
+    std: NDArray[np.float32]
+    views: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
 class ThermalModel:
     """The RGB model's geometry with thermal colours.
 
     Attributes:
-        gaussians: C = 1, colours in the units of `range`.
+        gaussians: C = 1, colours in the units of `color_range`.
         background: `[1]`, likewise.
-        range: what 0 and 1 mean, in °C (or counts, for a relative capture).
+        range: the capture's fixed range, °C (or counts, for a relative capture): what scores and pictures refer to.
         settings: how it has to be rendered.
         sfm_per_metre: the scale whose thermal poses it was fitted at.
         history: lists of equal length: "step", "loss".
+        color_range: what colours 0 and 1 stand for, in the unit of `range`; None: `range`. The linear fit begins it where no colour is
+            below 0, so that the clamp of `render` and of every viewer never acts.
+        drift: by training frame its gain and offset: photograph = gain · image + offset; empty where none were fitted.
+        temperatures: of each Gaussian, or None where nobody asked.
     """
 
     gaussians: Gaussians
@@ -59,9 +77,17 @@ class ThermalModel:
     settings: RenderSettings
     sfm_per_metre: float
     history: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    color_range: LinearRange | None = None
+    drift: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    temperatures: GaussianTemperatures | None = None
+
+    @property
+    def colors(self) -> LinearRange:
+        """What colours 0 and 1 stand for."""
+        return self.color_range or self.range
 
     def render(self, camera: Camera, camera_from_world: SE3) -> NDArray[np.float32]:
         """`[h, w]` temperatures in °C (or counts)."""
         with torch.no_grad():
             view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
-        return self.range.expand(view[..., 0].numpy())
+        return self.colors.expand(view[..., 0].numpy())

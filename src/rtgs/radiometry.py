@@ -219,6 +219,10 @@ class LinearRange:
     lo: float
     hi: float
 
+    @property
+    def width(self) -> float:
+        return self.hi - self.lo
+
     def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         return ((values.astype(np.float64) - self.lo) / (self.hi - self.lo)).astype(np.float32)
 

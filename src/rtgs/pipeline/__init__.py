@@ -13,8 +13,9 @@ from rtgs.config import RunConfig
 from rtgs.errors import RtgsError
 from rtgs.evaluate import evaluate
 from rtgs.fit_rgb import fit_rgb, model_from_ply
-from rtgs.fit_thermal import fit_thermal
+from rtgs.fit_thermal import fit_thermal, gaussian_temperatures
 from rtgs.io.capture import load_capture
+from rtgs.models import ThermalModel
 from rtgs.pipeline.folder import STAGES, RunFolder, Stage, fingerprints
 from rtgs.pipeline.summary import metric_lines
 from rtgs.progress import Progress
@@ -179,9 +180,12 @@ class Pipeline:
     def _thermal(self) -> dict[str, float]:
         scene, model, config = self.scene, self.folder.read_rgb(), self.config.thermal
         sfm_per_metre, celsius = self.folder.read_scale().sfm_per_metre, scene.capture.thermal_unit == "celsius"
-        thermal, seconds = self._timed(
-            "thermal model", lambda progress: fit_thermal(scene, model, sfm_per_metre, config, progress=progress)
-        )
+
+        def fit(progress: Progress) -> ThermalModel:
+            fitted = fit_thermal(scene, model, sfm_per_metre, config, progress=progress)
+            return replace(fitted, temperatures=gaussian_temperatures(scene, fitted, progress=progress))
+
+        thermal, seconds = self._timed("thermal model", fit)
         self.folder.write_thermal(thermal, celsius=celsius)
         naive, naive_seconds = self._timed(
             "control: thermal model at scale 1", lambda progress: fit_thermal(scene, model, 1.0, config, progress=progress)

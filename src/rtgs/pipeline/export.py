@@ -9,7 +9,7 @@ from rtgs.geometry import SE3
 from rtgs.io.colmap import write_scene
 from rtgs.io.ply import write_ply
 from rtgs.io.transforms import write_transforms
-from rtgs.pipeline.folder import RunFolder, refuse_own_folders
+from rtgs.pipeline.folder import RunFolder, refuse_own_folders, write_thermal_ply
 from rtgs.scene import Scene, SparsePoints
 
 
@@ -30,9 +30,8 @@ def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[
     factor = scale.metres_per_sfm if metres else 1.0
     rgb, thermal = folder.read_rgb(), folder.read_thermal()
     out.mkdir(parents=True, exist_ok=True)
-    span = (thermal.range.lo, thermal.range.hi) if scene.capture.thermal_unit == "celsius" else None
     write_ply(out / "rgb.ply", rgb.gaussians.scaled(factor))
-    write_ply(out / "thermal.ply", thermal.gaussians.scaled(factor), celsius_range=span)
+    write_thermal_ply(out / "thermal.ply", thermal, celsius=scene.capture.thermal_unit == "celsius", factor=factor)
     scaled = scaled_scene(scene, factor)
     files = {name: f"rgb/{name}.png" for name in scaled.world_from_rgb}
     write_transforms(out / "transforms.json", scene.rig.rgb, scaled.world_from_rgb, files)

@@ -16,8 +16,8 @@ from rtgs.config import RunConfig, is_run, read_config, read_run_json, to_json
 from rtgs.errors import RtgsError
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.images import IMAGE_SUFFIXES
-from rtgs.io.ply import read_ply, write_ply
-from rtgs.models import RgbModel, ThermalModel
+from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
+from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
 from rtgs.radiometry import LinearRange
 from rtgs.render import RenderSettings
 from rtgs.scale import ScaleEstimate
@@ -156,22 +156,31 @@ class RunFolder:
         return RgbModel(read_ply(self.path / "rgb.ply"), *self._common(data), data["history"])
 
     def write_thermal(self, model: ThermalModel, name: str = "thermal", *, celsius: bool) -> None:
-        span = (model.range.lo, model.range.hi) if celsius else None  # counts are no temperature
-        write_ply(self.path / f"{name}.ply", model.gaussians, celsius_range=span)
+        write_thermal_ply(self.path / f"{name}.ply", model, celsius=celsius)
         self._write_model(
-            f"{name}.json", model, range={"lo": model.range.lo, "hi": model.range.hi}, sfm_per_metre=model.sfm_per_metre
+            f"{name}.json",
+            model,
+            range=asdict(model.range),
+            color_range=asdict(model.colors),
+            sfm_per_metre=model.sfm_per_metre,
+            drift=dict(model.drift),
         )
 
     def read_thermal(self, name: str = "thermal") -> ThermalModel:
         data = self.read_json(f"{name}.json")
         background, settings = self._common(data)
+        ply = read_thermal_ply(self.path / f"{name}.ply")
+        found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
         return ThermalModel(
-            read_ply(self.path / f"{name}.ply"),
+            ply.gaussians,
             background,
             LinearRange(**data["range"]),
             settings,
             data["sfm_per_metre"],
             data["history"],
+            LinearRange(**data["color_range"]),
+            {frame: (gain, offset) for frame, (gain, offset) in data["drift"].items()},
+            GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         )
 
     def write_scale(self, estimate: ScaleEstimate) -> None:
@@ -198,6 +207,18 @@ class RunFolder:
     @staticmethod
     def _common(data: dict[str, Any]) -> tuple[torch.Tensor, RenderSettings]:
         return torch.tensor(data["background"], dtype=torch.float32), RenderSettings(**data["settings"])
+
+
+def write_thermal_ply(path: Path, model: ThermalModel, *, celsius: bool, factor: float = 1.0) -> None:
+    """With lengths × `factor`; counts are no temperature and are not written as one."""
+    found = model.temperatures
+    known = (found.temperature, found.std, found.views) if found is not None and celsius else ()
+    write_ply(
+        path,
+        model.gaussians.scaled(factor) if factor != 1.0 else model.gaussians,
+        celsius_range=(model.colors.lo, model.colors.hi) if celsius else None,
+        properties=dict(zip(THERMAL_PROPERTIES, known, strict=False)),
+    )
 
 
 def refuse_own_folders(folder: RunFolder, scene: Scene, out: Path) -> None:

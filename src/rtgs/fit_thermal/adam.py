@@ -1,4 +1,4 @@
-"""Stage 3: give the frozen geometry a temperature."""
+"""The paper's thermal fit: Adam on ℓ1 with optional SSIM, one image a step. `solver = "adam"`."""
 
 from __future__ import annotations
 
@@ -9,47 +9,19 @@ import torch
 
 from rtgs import sh
 from rtgs.config import ThermalConfig
-from rtgs.errors import RtgsError
+from rtgs.fit_thermal.frames import training_range
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.progress import Progress
-from rtgs.radiometry import LinearRange
 from rtgs.render import render
 from rtgs.scene import Scene
 from rtgs.ssim import ssim, whole_windows
 
-RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
 
-
-def training_range(scene: Scene) -> LinearRange:
-    """The capture's fixed range: 0.1–99.9 percentile of the valid pixels of the training thermal images."""
-    mask = scene.capture.thermal_mask
-    values = np.concatenate([f.thermal[mask] for f in scene.train_frames])
-    lo, hi = (float(v) for v in np.percentile(values, [RANGE_PERCENTILE, 100.0 - RANGE_PERCENTILE]))
-    return LinearRange(lo, hi if hi > lo else lo + 1.0)
-
-
-def fit_thermal(
-    scene: Scene,
-    rgb_model: RgbModel,
-    sfm_per_metre: float,
-    config: ThermalConfig | None = None,
-    *,
-    progress: Progress | None = None,
+def fit_adam(
+    scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
-    """Clone the RGB model, replace its colours by one-channel spherical harmonics, and fit those to the training thermal images.
-
-    Means, shapes, opacities and poses stay as they are; only the harmonics and one background value move (the paper's
-    geometry-frozen protocol).
-
-    Raises:
-        RtgsError: no training frame, or a scale that is no positive number.
-    """
-    config = config or ThermalConfig()
+    """See `fit_thermal`."""
     frames = scene.train_frames
-    if not frames:
-        raise RtgsError("fit_thermal: the scene has no training frame (every registered frame is held out).")
-    if not (np.isfinite(sfm_per_metre) and sfm_per_metre > 0):
-        raise RtgsError(f"fit_thermal: sfm_per_metre is {sfm_per_metre}; it is a positive number.")
     generator = torch.Generator().manual_seed(config.seed)
     frozen = rgb_model.gaussians.detach()
     n, k = len(frozen), sh.coefficients(config.sh_degree)

@@ -1,0 +1,73 @@
+"""The design matrix of the thermal fit: what the unknowns look like in each photograph, and the transpose.
+
+    image_f = W_f · (basis_f ∘ sh) + (1 − α_f) · background
+
+The unknowns are N · K harmonics and the background, one column `[D, C]` a problem. C problems (under different ridges) go side by side,
+since the weights W, which are most of the work, are theirs in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rtgs import sh
+from rtgs.camera import Camera
+from rtgs.fit_thermal import harmonics
+from rtgs.gaussians import Gaussians
+from rtgs.geometry import SE3
+from rtgs.render import LinearViews, RenderSettings
+
+VIEWS_BYTES = 2 << 30  # kept splats of all views; the others are projected again at each use
+
+
+class Design:
+    """The linear map from unknowns to photographs; geometry, opacity and poses are frozen.
+
+    Args:
+        gaussians: colours are not looked at.
+        poses: camera_from_world, one a frame.
+        degree: highest band of the harmonics.
+    """
+
+    def __init__(self, gaussians: Gaussians, camera: Camera, poses: Sequence[SE3], degree: int, settings: RenderSettings) -> None:
+        self.gaussians, self.coefficients = len(gaussians), sh.coefficients(degree)
+        self.size = self.gaussians * self.coefficients + 1
+        self._means = np.ascontiguousarray(gaussians.means.detach().numpy(), dtype=np.float32)
+        self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
+        self._views = LinearViews(gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES)
+
+    def __len__(self) -> int:
+        """How many frames."""
+        return len(self._centres)
+
+    def harmonics(self, x: Tensor) -> Tensor:
+        """The view `[N, K, …]` of unknowns `[D, …]`; the background is their last row."""
+        return x[:-1].view(self.gaussians, self.coefficients, *x.shape[1:])
+
+    def image(self, frame: int, x: Tensor) -> Tensor:
+        """`[h, w, C]`."""
+        colors = np.empty((self.gaussians, x.shape[1]), np.float32)
+        harmonics.colors_of(self._means, self._centres[frame], self.harmonics(x).numpy(), colors)
+        return self._views[frame].image(torch.from_numpy(colors), x[-1])
+
+    def add_transpose(self, frame: int, image: Tensor, out: Tensor) -> None:
+        """out `[D, C]` += transpose · image `[h, w, C]`."""
+        colors, background = self.weights(frame, image)
+        self.add_harmonics(frame, colors, self.harmonics(out))
+        out[-1] += background
+
+    def weights(self, frame: int, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Wᵀ·image `[N, C]` and the background's part `[C]`, without harmonics."""
+        return self._views[frame].adjoint(image)
+
+    def add_harmonics(self, frame: int, colors: Tensor, out: Tensor) -> None:
+        """out `[N, K, C]` += basis ⊗ colors `[N, C]`."""
+        harmonics.add_transpose(self._means, self._centres[frame], colors.numpy(), out.numpy())
+
+    def add_blocks(self, frame: int, weights: Tensor, out: Tensor) -> None:
+        """out `[N, K, K]` += weights `[N]` · basis ⊗ basis."""
+        harmonics.add_blocks(self._means, self._centres[frame], weights.numpy(), out.numpy())

@@ -1,0 +1,137 @@
+"""Weighted least squares with a ridge, by preconditioned conjugate gradients on the normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rtgs.fit_thermal.design import Design
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Least x of Σ_f ‖image_f − design_f · x − offset_f‖² + Σ ridge · (x − prior)², each pixel weighed, C times side by side.
+
+    The offsets, where there are any, are eliminated exactly: the weighted mean is taken out of every residual.
+
+    Attributes:
+        frames: indices of those that count.
+        images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
+        offsets: whether each frame has one of its own; else they are 0.
+        ridge, prior: `[D, C]`.
+        inverses, background: the preconditioner (see `preconditioner`).
+    """
+
+    design: Design
+    frames: Sequence[int]
+    images: Sequence[Tensor]
+    weights: Sequence[Tensor]
+    offsets: bool
+    ridge: Tensor
+    prior: Tensor
+    inverses: Tensor
+    background: float
+
+    def gradient(self, x: Tensor, each: Callable[[], None]) -> tuple[Tensor, Tensor]:
+        """Half the direction of descent `[D, C]`, and the value of the sum `[C]` in float64."""
+        away = x - self.prior
+        out, value = -self.ridge * away, (self.ridge * away**2).sum(0, dtype=torch.float64)
+        for f in self.frames:
+            residual = self.images[f] - self.design.image(f, x)
+            weighted = self._weighted(f, residual)
+            value += (residual * weighted).sum((0, 1), dtype=torch.float64)
+            self.design.add_transpose(f, weighted, out)
+            each()
+        return out, value
+
+    def normal(self, p: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
+        """(designᵀ · weights · design + ridge) · p."""
+        out = self.ridge * p
+        for f in self.frames:
+            self.design.add_transpose(f, self._weighted(f, self.design.image(f, p)), out)
+            each()
+        return out
+
+    def precondition(self, r: Tensor) -> Tensor:
+        z = r / self.background
+        self.design.harmonics(z).copy_(torch.bmm(self.inverses, self.design.harmonics(r)))
+        return z
+
+    def _weighted(self, frame: int, image: Tensor) -> Tensor:
+        """Weights · (image less its weighted mean, where there are offsets)."""
+        weights = self.weights[frame][..., None]
+        weighted = image * weights
+        if self.offsets:
+            weighted -= weights * (weighted.sum((0, 1)) / weights.sum().clamp_min(1e-12))
+        return weighted
+
+
+def preconditioner(blocks: Tensor, background: float, ridge: Tensor, design: Design) -> tuple[Tensor, float]:
+    """`Problem.inverses` `[N, K, K]` and `Problem.background`.
+
+    A Gaussian's block is Σ_views (Σ_pixels weight) · basis ⊗ basis: the *sum* of what it contributes to pixels, not of its square.
+    A pixel's weights add up to one, so column sums bound WᵀW from above (as SIRT has it in tomography); squares alone would tell each of
+    the Gaussians that share a pixel to explain all of its residual.
+
+    Args:
+        blocks: `[N, K, K]`. background: likewise, a number. ridge: `[D]`.
+    """
+    return torch.linalg.inv(blocks + torch.diag_embed(design.harmonics(ridge))), background + float(ridge[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """`x` `[D, C]`; `iterations`; `residual` `[C]`: norm of the gradient that is left, relative to that at the start."""
+
+    x: Tensor
+    iterations: int
+    residual: Tensor
+
+
+def solve(
+    problem: Problem,
+    start: Tensor,
+    *,
+    iterations: int,
+    tolerance: float = 0.0,
+    settled: Callable[[Tensor], bool] = lambda x: False,
+    each: Callable[[], None] = lambda: None,
+) -> Solution:
+    """Conjugate gradients from `start` `[D, C]`.
+
+    Args:
+        iterations: at most.
+        tolerance: stop when an iteration lowered no problem's sum by more than this share of it.
+        settled: asked after each iteration, with the unknowns, whether it was the last.
+        each: called after each frame of each pass.
+    """
+    x, done = start.clone(), 0
+    r, value = problem.gradient(x, each)
+    z = problem.precondition(r)
+    p, rz = z.clone(), _dot(r, z)
+    first = rz
+    while done < iterations:
+        q = problem.normal(p, each)
+        step = _ratio(rz, _dot(p, q))
+        x += step.float() * p
+        r -= step.float() * q
+        z = problem.precondition(r)
+        gain, old, rz = step * rz, rz, _dot(r, z)
+        value, done = value - gain, done + 1
+        if settled(x) or bool((gain <= tolerance * value.clamp_min(0.0)).all()):
+            break
+        p = z + _ratio(rz, old).float() * p
+    return Solution(x, done, _ratio(rz, first).sqrt())
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    """`[C]` in float64, without a float64 copy of the vectors."""
+    return (a * b).sum(0, dtype=torch.float64)
+
+
+def _ratio(a: Tensor, b: Tensor) -> Tensor:
+    """a / b, and 0 where b is: a problem that is solved stays as it is."""
+    return torch.where(b > 0, a / b.clamp_min(torch.finfo(torch.float64).tiny), torch.zeros_like(a))

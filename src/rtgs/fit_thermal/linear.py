@@ -1,0 +1,320 @@
+"""The thermal fit as what it is, a linear least-squares problem: `solver = "linear"`.
+
+Geometry, opacity and poses are frozen, so a thermal image is affine in the harmonics and the background. Nothing is added to the
+colours and nothing is clamped; `as_model` states them so that `render`'s ½ and clamp change nothing. docs/thermal.md has the equations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from rtgs import sh
+from rtgs.config import ThermalConfig
+from rtgs.fit_thermal.design import Design
+from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
+from rtgs.fit_thermal.frames import ThermalFrames, training_range
+from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
+from rtgs.models import RgbModel, ThermalModel
+from rtgs.progress import Progress
+from rtgs.radiometry import LinearRange
+from rtgs.scene import Scene
+
+# The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
+# held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
+# geometry gets wrong is as large in a hundred pixels as in one, and view dependence would make up for it.
+RIDGE_PX = 0.3
+RIDGE_SHARE = 0.01
+RIDGE_FACTORS = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # tried on validation frames
+DEFAULT_FACTOR = 0.3  # where there are too few frames to try
+
+VALIDATE_EVERY = 8  # of the training frames
+SETTLED_SHARE, SETTLED_AFTER = 0.02, 2  # a validation error that fell by less over so many iterations
+HUBER = 0.5  # residuals count by their square up to so many root mean squares, beyond by their size
+ROUNDS = 4  # of reweighting
+DRIFT_SHARE = 0.02  # of the residuals' square must be explained by gains and offsets for drift to be looked into; so many frames
+DRIFT_FRAMES = 3  # be there for validation, their differences
+DRIFT_GAIN = 0.005  # predicted better by this share and by a standard error, and
+LEVEL_LOSS = 1.1  # levels no worse than by this factor
+DRIFT_TURNS, DRIFT_ITERATIONS = 2, 3
+ITERATIONS = 60
+TOLERANCE = 2e-3
+USUAL_PASSES = 60
+
+
+class Passes:
+    """Counts views drawn, for a person who waits. How many there will be is not known: `total` is what most fits need."""
+
+    def __init__(self, total: int, progress: Progress | None) -> None:
+        self.done, self.total, self.text, self._progress = 0, total, "", progress
+
+    def __call__(self) -> None:
+        self.done = min(self.done + 1, self.total - 1)
+        if self._progress is not None:
+            self._progress(self.done, self.total, self.text)
+
+    def finish(self) -> None:
+        if self._progress is not None:
+            self._progress(self.total, self.total, self.text)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the Gaussians see of the photographs, before anything is solved.
+
+    Attributes:
+        coverage: `[N + 1]`, pixels: Σ of the weights of each Gaussian and of the background.
+        prior: `[D]`: for each band 0 the harmonic of the mean of the pixels that the Gaussian covers, likewise the background; else 0.
+        blocks: `[N, K, K]`, see `preconditioner`.
+    """
+
+    coverage: Tensor
+    prior: Tensor
+    blocks: Tensor
+
+
+def gather(design: Design, data: ThermalFrames, each: Callable[[], None] = lambda: None) -> Evidence:
+    """One pass over all frames."""
+    n, k = design.gaussians, design.coefficients
+    level = sum(float(i.sum()) for i in data.images) / (len(data) * float(data.valid.sum()))
+    sums, blocks = torch.zeros(n + 1, 2), torch.zeros(n, k, k)
+    for f in range(len(data)):
+        colors, background = design.weights(f, torch.stack([data.valid * (data.images[f] - level), data.valid], dim=-1))
+        sums += torch.cat([colors, background[None]])
+        design.add_blocks(f, colors[:, 1].contiguous(), blocks)
+        each()
+    means = level + sums[:, 0] / (sums[:, 1] + RIDGE_PX)  # hardly seen: the scene's mean
+    prior = torch.zeros(design.size)
+    design.harmonics(prior)[:, 0] = means[:n] / sh.C0
+    prior[-1] = means[n]
+    return Evidence(sums[:, 1], prior, blocks)
+
+
+def ridge(design: Design, coverage: Tensor, factor: float) -> Tensor:
+    """`[D]`: the ridge at `factor` times its usual strength."""
+    out = torch.full((design.size,), RIDGE_PX * factor)
+    bands = design.harmonics(out)
+    bands[:, 1:] += RIDGE_SHARE * factor * coverage[:-1, None]
+    bands *= sh.C0**2
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What does not change while a capture is fitted."""
+
+    design: Design
+    data: ThermalFrames
+    evidence: Evidence
+    median: float
+    each: Callable[[], None]
+
+    @property
+    def everywhere(self) -> list[Tensor]:
+        """The weights of all frames before any is doubted: 1 where valid."""
+        return [self.data.valid] * len(self.data)
+
+    def problem(
+        self,
+        factors: Sequence[float],
+        frames: Sequence[int],
+        *,
+        weights: Sequence[Tensor] | None = None,
+        drift: tuple[Kind, Drift] | None = None,
+    ) -> Problem:
+        """Ridges side by side; `weights` None: the valid pixels. Gains count as known, offsets as unknown."""
+        weights = self.everywhere if weights is None else weights
+        photographs = [y[..., None] for y in self.data.images]
+        if drift is not None and drift[0] == "gain-offset":
+            gains = drift[1].gain
+            photographs = [self.median + (y - self.median) / gains[f] for f, y in enumerate(photographs)]
+            weights = [w * gains[f] ** 2 for f, w in enumerate(weights)]
+        ridges = torch.stack([ridge(self.design, self.evidence.coverage, f) for f in factors], dim=1)
+        inverses, background = preconditioner(
+            self.evidence.blocks, float(self.evidence.coverage[-1]), ridges.log().mean(dim=1).exp(), self.design
+        )
+        prior = self.evidence.prior[:, None].expand(-1, len(factors))
+        offsets = drift is not None and drift[0] != "off"
+        return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background)
+
+    def images(self, x: Tensor) -> list[Tensor]:
+        """`[h, w]` a frame, of unknowns `[D, 1]`."""
+        out = []
+        for f in range(len(self.data)):
+            out.append(self.design.image(f, x)[..., 0])
+            self.each()
+        return out
+
+    def error(self, kind: Kind, frame: int, image: Tensor) -> float:
+        """Σ |photograph − what the frame shows of the image|, with the gain and offset that suit it best."""
+        weights, photograph = self.data.valid, self.data.images[frame]
+        shown = estimate(kind, self.median, [image], [photograph], [weights]).of(0, image)
+        return float((weights * (photograph - shown).abs()).sum())
+
+    def drift(self, kind: Kind, images: Sequence[Tensor], weights: Sequence[Tensor]) -> tuple[Drift, list[Tensor]]:
+        """The frames' gains and offsets at given images, and what is left of the photographs `[h, w]`."""
+        drift = estimate(kind, self.median, images, self.data.images, weights)
+        return drift, [y - drift.of(f, images[f]) for f, y in enumerate(self.data.images)]
+
+    def gauged(self, kind: Kind, images: Sequence[Tensor]) -> tuple[Kind, Drift]:
+        """For `problem`."""
+        return kind, in_gauge(self.drift(kind, images, self.everywhere)[0])[0]
+
+
+def fit_linear(
+    scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
+) -> ThermalModel:
+    """See `fit_thermal`."""
+    span = training_range(scene)
+    data = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
+    design = Design(rgb_model.gaussians.detach(), scene.rig.thermal, data.poses, config.sh_degree, rgb_model.settings)
+    passes = Passes(len(data) * USUAL_PASSES, progress)
+    median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
+    fit = Fit(design, data, gather(design, data, passes), median, passes)
+    validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
+    factor, x = choose_ridge(fit, validation, fit.evidence.prior[:, None])
+    kind = config.drift
+    if kind == "auto":
+        kind, factor, x = choose_drift(fit, validation, factor, x)
+    elif kind != "off":
+        factor, x = choose_ridge(fit, validation, x, fit.gauged(kind, fit.images(x)))
+    x, drift, history = reweighted(fit, factor, kind, x, passes)
+    passes.finish()
+    model = as_model(x, design, rgb_model, span, sfm_per_metre, history)
+    return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
+
+
+def choose_ridge(
+    fit: Fit, validation: Sequence[int], start: Tensor, drift: tuple[Kind, Drift] | None = None
+) -> tuple[float, Tensor]:
+    """The factor with the smallest mean absolute error on frames that the fit did not see; and its unknowns `[D, 1]`.
+
+    With drift, a frame's own gain and offset are taken out of its error.
+    """
+    if not validation:
+        return DEFAULT_FACTOR, start
+    rest = [f for f in range(len(fit.data)) if f not in validation]
+    count, best = len(RIDGE_FACTORS), [math.inf] * SETTLED_AFTER
+    errors = torch.zeros(count)
+
+    def settled(x: Tensor) -> bool:
+        errors.zero_()
+        for f in validation:
+            images = fit.design.image(f, x)
+            for c in range(count):
+                errors[c] += fit.error("off" if drift is None else drift[0], f, images[..., c])
+            fit.each()
+        best.append(float(errors.min()))
+        return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - SETTLED_AFTER]
+
+    problem = fit.problem(RIDGE_FACTORS, rest, drift=drift)
+    x = solve(problem, start.expand(-1, count), iterations=ITERATIONS, settled=settled, each=fit.each).x
+    chosen = int(errors.argmin())
+    return RIDGE_FACTORS[chosen], x[:, chosen : chosen + 1].clone()
+
+
+def choose_drift(fit: Fit, validation: Sequence[int], factor: float, x: Tensor) -> tuple[Kind, float, Tensor]:
+    """Whether frames have an offset, or a gain as well; the ridge's factor then, and the unknowns `[D, 1]` to go on from.
+
+    A frame's own offset and gain are unknown where the frame was not fitted, so models are compared by *differences* within validation
+    frames: by the mean absolute error after the best offset, or gain and offset, has been taken out for both alike. And levels must not
+    suffer by more than a tenth: offsets that go with the camera's path are predicted by harmonics, right or wrong.
+    """
+    images, valid = fit.images(x), fit.data.valid
+    whole, left = (_squares(fit.drift(kind, images, fit.everywhere)[1], valid) for kind in ("off", "gain-offset"))
+    if len(validation) < DRIFT_FRAMES or left > (1.0 - DRIFT_SHARE) * whole:
+        return "off", factor, x
+    rest = [f for f in range(len(fit.data)) if f not in validation]
+
+    def level(kind: Kind, images: list[Tensor]) -> float:
+        _, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(rest))
+        moved = [gain * images[f] + fit.median * (1.0 - gain) + offset for f in validation]
+        return sum(fit.error("off", f, image) for f, image in zip(validation, moved, strict=True))
+
+    def solved(kind: Kind) -> tuple[Tensor, list[Tensor]]:
+        y, pictures = x, images
+        for _ in range(DRIFT_TURNS):
+            problem = fit.problem((factor,), rest, drift=fit.gauged(kind, pictures))
+            y = solve(problem, y, iterations=DRIFT_ITERATIONS, each=fit.each).x
+            pictures = fit.images(y)
+        return y, pictures
+
+    chosen: Kind = "off"
+    limit = LEVEL_LOSS * level("off", images)
+    for kind in ("offset", "gain-offset"):
+        (_, before), (other, after) = solved(chosen), solved(kind)
+        better = torch.tensor([fit.error(kind, f, before[f]) - fit.error(kind, f, after[f]) for f in validation])
+        least = DRIFT_GAIN * sum(fit.error(kind, f, before[f]) for f in validation) / len(validation)
+        if float(better.mean()) > max(least, float(better.std()) / len(validation) ** 0.5) and level(kind, after) < limit:
+            chosen = kind
+            factor, x = choose_ridge(fit, validation, other, fit.gauged(kind, after))  # it no longer stands up to drift
+            images = fit.images(x)
+    return chosen, factor, x
+
+
+def reweighted(
+    fit: Fit, factor: float, kind: Kind, start: Tensor, passes: Passes
+) -> tuple[Tensor, Drift, dict[str, list[float]]]:
+    """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]`."""
+    x, valid = start, fit.data.valid
+    weights = fit.everywhere
+    history: dict[str, list[float]] = {"step": [], "loss": []}
+    steps = 0
+    for done in range(ROUNDS + 1):
+        drift, left = fit.drift(kind, fit.images(x), weights)
+        rms = math.sqrt(_squares(left, valid) / (len(left) * float(valid.sum())))
+        history["step"].append(steps)
+        history["loss"].append(rms)
+        if done == ROUNDS:
+            break
+        weights = [valid * (HUBER * rms / r.abs().clamp_min(1e-12)).clamp_max(1.0) for r in left]
+        problem = fit.problem((factor,), range(len(left)), weights=weights, drift=(kind, in_gauge(drift)[0]))
+        solution = solve(problem, x, iterations=ITERATIONS, tolerance=TOLERANCE, each=passes)
+        x, steps = solution.x, steps + solution.iterations
+        passes.text = f"residual {rms:.4f} of the range, {float(solution.residual[0]):.0e} of the gradient"
+    drift, gain, offset = in_gauge(drift)
+    return moved(fit.design, x, gain, fit.median * (1.0 - gain) + offset), drift, history
+
+
+def moved(design: Design, x: Tensor, gain: float, offset: float) -> Tensor:
+    """The unknowns whose images are `gain · image + offset`."""
+    x = gain * x
+    design.harmonics(x)[:, 0] += offset / sh.C0
+    x[-1] += offset
+    return x
+
+
+def _squares(residuals: Sequence[Tensor], valid: Tensor) -> float:
+    return sum(float((valid * r**2).sum()) for r in residuals)
+
+
+def as_model(
+    x: Tensor, design: Design, rgb_model: RgbModel, span: LinearRange, sfm_per_metre: float, history: Mapping[str, list[float]]
+) -> ThermalModel:
+    """The unknowns as colours that `render` shows without ever clamping.
+
+    Colour 0 is put at or below the lowest value that any Gaussian has in any direction: with band norms |sh_l|, a colour lies within
+    Σ_{l ≥ 1} √((2l + 1) / 4π) · |sh_l| of its constant part.
+    """
+    harmonics, background = design.harmonics(x)[..., 0], float(x[-1, 0])
+    lowest = sh.C0 * harmonics[:, 0]
+    for l in range(1, math.isqrt(design.coefficients)):
+        lowest = lowest - math.sqrt((2 * l + 1) / (4 * math.pi)) * harmonics[:, l * l : (l + 1) ** 2].norm(dim=1)
+    floor = min(float(lowest.min()), background)
+    floor = floor - 1e-3 if floor < 0 else 0.0  # a thousandth of the range further, for the last digits of float32
+    colors = harmonics / (1.0 - floor)
+    colors[:, 0] += (-floor / (1.0 - floor) - 0.5) / sh.C0
+    width = span.hi - span.lo
+    return ThermalModel(
+        replace(rgb_model.gaussians.detach(), sh=colors[..., None].contiguous()),
+        torch.tensor([(background - floor) / (1.0 - floor)]),
+        span,
+        rgb_model.settings,
+        float(sfm_per_metre),
+        history,
+        LinearRange(span.lo + floor * width, span.hi),
+    )

@@ -1,0 +1,404 @@
+"""The thermal fit by least squares: its operator, its solver, what it recovers, and how sure it says it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+
+from rtgs.config import ThermalConfig
+from rtgs.fit_thermal import fit_thermal, gaussian_temperatures, training_range
+from rtgs.fit_thermal.design import Design
+from rtgs.fit_thermal.drift import Drift, estimate, in_gauge
+from rtgs.fit_thermal.frames import ThermalFrames
+from rtgs.fit_thermal.least_squares import solve
+from rtgs.fit_thermal.linear import DEFAULT_FACTOR, Fit, as_model, gather, ridge
+from rtgs.geometry import look_at
+from rtgs.models import RgbModel, ThermalModel
+from rtgs.radiometry import LinearRange
+from rtgs.scene import Scene
+from rtgs.sh import C0, basis, coefficients
+from test_fit_thermal import RIG, SFM_PER_METRE, assembled, held_out_error_c, known, with_thermal
+
+LINEAR = ThermalConfig()
+
+
+@lru_cache(maxsize=1)
+def ring() -> tuple[Scene, RgbModel, ThermalModel]:
+    """The ball of `known`, seen from 32 places."""
+    _, rgb, truth = known()
+    poses = []
+    for k in range(32):
+        eye = SFM_PER_METRE * np.array([2.6 * math.cos(0.7 * k), 2.6 * math.sin(0.7 * k), 1.3 * math.sin(1.9 * k)])
+        poses.append(look_at(eye, [0, 0, 0]))
+    scene = assembled(poses, [np.zeros((RIG.thermal.height, RIG.thermal.width), np.float32)] * 32)
+    images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
+    return with_thermal(scene, images), rgb, truth
+
+
+@lru_cache(maxsize=1)
+def fitted() -> ThermalModel:
+    scene, rgb, _ = ring()
+    return fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
+
+
+def least_squares(scene: Scene, rgb: RgbModel, degree: int = 1) -> Fit:
+    data = ThermalFrames.of(scene, scene.train_frames, SFM_PER_METRE, training_range(scene))
+    design = Design(rgb.gaussians, RIG.thermal, data.poses, degree, rgb.settings)
+    return Fit(design, data, gather(design, data), 0.3, lambda: None)
+
+
+def changed(scene: Scene, change: Callable[[int, np.ndarray], np.ndarray]) -> Scene:
+    """Every thermal image replaced by `change(number of the frame, image)`."""
+    return with_thermal(scene, {f.name: change(i, f.thermal).astype(np.float32) for i, f in enumerate(scene.capture.frames)})
+
+
+# --- operator and solver ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_design_is_what_render_draws_and_has_its_transpose(degree: int) -> None:
+    """⟨A x, y⟩ = ⟨x, Aᵀ y⟩, and `as_model` shows A x whatever the sign of its colours."""
+    scene, rgb, _ = known()
+    fit = least_squares(scene, rgb, degree)
+    design, g = fit.design, torch.Generator().manual_seed(degree)
+    assert design.coefficients == coefficients(degree)
+    x, y = torch.randn(design.size, 2, generator=g), torch.randn(30, 36, 2, generator=g)
+    image, out = design.image(3, x), torch.zeros_like(x)
+    design.add_transpose(3, y, out)
+    torch.testing.assert_close((image * y).sum((0, 1)), (out * x).sum(0), rtol=1e-4, atol=1e-3)
+    span = LinearRange(10.0, 20.0)
+    for c in range(2):
+        model = as_model(x[:, c : c + 1], design, rgb, span, SFM_PER_METRE, {})
+        np.testing.assert_allclose(model.render(RIG.thermal, fit.data.poses[3]), span.expand(image[..., c].numpy()), atol=1e-3)
+        assert image[..., c].min() < -0.2  # below the range
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+def test_solution_satisfies_the_normal_equations(offsets: bool) -> None:
+    scene, rgb, _ = known()
+    fit = least_squares(scene, rgb)
+    drift = ("offset", Drift(0.3, torch.ones(8), torch.zeros(8))) if offsets else None
+    problem = fit.problem((0.1, 1.0, 10.0), range(8), drift=drift)  # type: ignore[arg-type]
+    start = torch.randn(fit.design.size, 3, generator=torch.Generator().manual_seed(1))
+    solution = solve(problem, start, iterations=150)
+    before, worse = problem.gradient(start, lambda: None)
+    after, value = problem.gradient(solution.x, lambda: None)
+    assert (after.norm(dim=0) < 1e-5 * before.norm(dim=0)).all() and (value < 0.05 * worse).all()
+    # The same sum from its definition, by an independent route: a dense matrix of one problem.
+    if not offsets:
+        columns = []
+        for d in range(fit.design.size):
+            unit = torch.zeros(fit.design.size, 1)
+            unit[d] = 1.0
+            columns.append(fit.design.image(0, unit).flatten())
+        dense = torch.stack(columns, dim=1).double()
+        one = fit.problem((1.0,), [0])
+        weights = one.weights[0].flatten().double()[:, None]
+        matrix = dense.T @ (weights * dense) + torch.diag(one.ridge[:, 0].double())
+        right = dense.T @ (weights * one.images[0].reshape(-1, 1).double()) + (one.ridge * one.prior).double()
+        exact = torch.linalg.solve(matrix, right)
+        got = solve(one, one.prior, iterations=200).x
+        torch.testing.assert_close(got.double(), exact, atol=2e-4, rtol=0)
+
+
+def test_a_solved_problem_stays() -> None:
+    scene, rgb, _ = known()
+    problem = least_squares(scene, rgb).problem((1.0,), [0, 1])
+    x = solve(problem, problem.prior, iterations=200).x
+    again = solve(problem, x, iterations=3).x
+    torch.testing.assert_close(again, x, atol=1e-4, rtol=0)
+
+
+# --- what it recovers -------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=1)
+def directional() -> tuple[Scene, RgbModel, ThermalModel]:
+    """Known temperatures that depend on the direction; no clamp in what made them."""
+    scene, rgb, truth = known()
+    g = torch.Generator().manual_seed(5)
+    sh = torch.cat([truth.gaussians.sh * 0.6, 0.15 * torch.randn(len(rgb.gaussians), 3, 1, generator=g)], dim=1)
+    truth = replace(truth, gaussians=replace(truth.gaussians, sh=sh))
+    images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
+    return with_thermal(scene, images), rgb, truth
+
+
+def test_known_colours_are_recovered_to_a_millikelvin() -> None:
+    scene, rgb, truth = directional()
+    fit = least_squares(scene, rgb)
+    problem = fit.problem((1e-6,), range(8))
+    x = solve(problem, problem.prior, iterations=400).x
+    model = as_model(x, fit.design, rgb, training_range(scene), SFM_PER_METRE, {})
+    for frame in scene.train_frames:
+        pose = scene.thermal_from_world(frame.name, SFM_PER_METRE)
+        np.testing.assert_allclose(model.render(RIG.thermal, pose), frame.thermal, atol=1e-3)
+    seen = fit.evidence.coverage[:-1] > 60  # pixels over eight views: four numbers each
+    assert seen.sum() > 30
+    found, true = (gaussian_temperatures(scene, m).temperature[seen.numpy()] for m in (model, truth))
+    np.testing.assert_allclose(found, true, atol=1e-3)
+    assert float(model.colors.expand(model.background.numpy())[0]) == pytest.approx(20.0, abs=1e-3)
+
+
+def test_the_default_fit_finds_known_temperatures() -> None:
+    scene, _, _ = ring()
+    assert held_out_error_c(scene, fitted()) < 0.02  # of 30 °C; what is left is the ridge
+    model = fitted()
+    assert float(model.colors.expand(model.background.numpy())[0]) == pytest.approx(20.0, abs=0.02)
+    assert len(model.history["step"]) == len(model.history["loss"]) > 1 and model.history["loss"][-1] < 1e-3
+
+
+def test_geometry_and_opacity_stay_bit_for_bit() -> None:
+    _, rgb, _ = ring()
+    model = fitted()
+    for name in ("means", "quats", "log_scales", "opacity_logits"):
+        assert torch.equal(model.gaussians.tensors()[name], rgb.gaussians.tensors()[name]), name
+    assert model.gaussians.sh.shape == (len(rgb.gaussians), 4, 1) and model.background.shape == (1,)
+    assert model.range == training_range(ring()[0]) and model.sfm_per_metre == SFM_PER_METRE
+
+
+def test_temperature_scale_does_not_matter() -> None:
+    scene, rgb, _ = ring()
+    counts = fit_thermal(changed(scene, lambda _, t: 100 * t + 27315), rgb, SFM_PER_METRE, ThermalConfig(drift="off"))
+    pose = scene.thermal_from_world("000", SFM_PER_METRE)
+    a, b = fitted().render(RIG.thermal, pose), counts.render(RIG.thermal, pose)
+    np.testing.assert_allclose((b - 27315) / 100, a, atol=0.01)
+
+
+def test_held_out_frames_change_nothing() -> None:
+    scene, rgb, _ = ring()
+    rng = np.random.default_rng(0)
+    noise = {f.name: rng.uniform(-100, 900, f.thermal.shape).astype(np.float32) for f in scene.held_out_frames}
+    a, b = (fit_thermal(s, rgb, SFM_PER_METRE, LINEAR) for s in (scene, with_thermal(scene, noise)))
+    assert torch.equal(a.gaussians.sh, b.gaussians.sh) and torch.equal(a.background, b.background)
+    assert a.range == b.range and a.history == b.history and a.drift == b.drift
+
+
+def test_masked_pixels_change_nothing() -> None:
+    scene, rgb, _ = ring()
+    mask = np.ones((RIG.thermal.height, RIG.thermal.width), bool)
+    mask[:, :4], mask[25:] = False, False
+    models, sure = [], []
+    for junk in (0.0, 400.0, math.nan):
+        masked = with_thermal(changed(scene, lambda _, t: np.where(mask, t, junk)), {}, thermal_mask=mask)  # noqa: B023
+        models.append(fit_thermal(masked, rgb, SFM_PER_METRE, LINEAR))
+        sure.append(gaussian_temperatures(masked, models[-1]))
+    for other, temperatures in zip(models[1:], sure[1:], strict=True):
+        assert torch.equal(models[0].gaussians.sh, other.gaussians.sh)
+        np.testing.assert_array_equal(sure[0].std, temperatures.std)
+    assert torch.isfinite(models[0].gaussians.sh).all() and np.isfinite(sure[0].std).all()
+    assert held_out_error_c(scene, models[0]) < 0.1
+
+
+def test_temperatures_below_the_range_survive() -> None:
+    """A cold spot that the 0.1 percentile leaves out: its colours are below the range, and nothing clamps them."""
+    scene, rgb, truth = ring()
+    cold = truth.gaussians.sh.clone()
+    cold[7] = (-2.0 - 0.5) / C0  # −45 °C, through a renderer whose colour 0 is at −165 °C
+    wide = replace(
+        truth, gaussians=replace(truth.gaussians, sh=(0.5 + C0 * cold + 5.0) / 6.0 / C0 - 0.5 / C0),
+        background=(truth.background + 5.0) / 6.0, range=LinearRange(15.0 - 150.0, 45.0),
+    )  # fmt: skip
+    images = {f.name: wide.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
+    scene = with_thermal(scene, images)
+    lowest = min(float(i.min()) for i in images.values())
+    model = fit_thermal(scene, rgb, SFM_PER_METRE, ThermalConfig(drift="off"))
+    assert lowest < model.range.lo - 10.0  # there is something below the range to be lost
+    assert held_out_error_c(scene, model) < 0.05
+    directions = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(3)), dim=1)
+    colors = 0.5 + torch.einsum("dk,nk->nd", basis(directions, 1), model.gaussians.sh[..., 0])
+    assert float(colors.min()) > 0.0 and model.colors.lo < lowest and model.colors.hi == model.range.hi
+    deepest = min(
+        float(model.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)).min()) for f in scene.train_frames
+    )
+    assert deepest == pytest.approx(min(float(f.thermal.min()) for f in scene.train_frames), abs=0.5)
+
+
+def test_a_few_wrong_pixels_do_little() -> None:
+    scene, rgb, _ = ring()
+    rng = np.random.default_rng(2)
+    dirty = changed(scene, lambda i, t: t if i % 8 == 0 else np.where(rng.random(t.shape) < 0.01, t + 60.0, t))
+    clean_range = with_thermal(dirty, {})
+    assert held_out_error_c(scene, fit_thermal(clean_range, rgb, SFM_PER_METRE, LINEAR)) < 0.3  # 0.6 °C on average in the images
+
+
+def test_progress_is_told_and_can_stop() -> None:
+    scene, rgb, _ = ring()
+    calls: list[tuple[int, int]] = []
+
+    def progress(done: int, total: int, text: str) -> None:
+        calls.append((done, total))
+        if len(calls) == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR, progress=progress)
+    assert len(calls) == 20 and all(0 < done < total for done, total in calls)
+    texts: list[str] = []
+    fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR, progress=lambda done, total, text: texts.append(f"{done / total:g} {text}"))
+    assert texts[-1].startswith("1 residual") and "of the gradient" in texts[-1]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_frames(count: int) -> None:
+    scene, rgb, _ = ring()
+    kept = [f.name for f in scene.train_frames][:count]
+    model = fit_thermal(replace(scene, world_from_rgb={n: scene.world_from_rgb[n] for n in kept}), rgb, SFM_PER_METRE, LINEAR)
+    assert torch.isfinite(model.gaussians.sh).all() and not model.drift
+
+
+def test_same_twice() -> None:
+    scene, rgb, _ = ring()
+    a, b = (fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR) for _ in range(2))
+    assert torch.equal(a.gaussians.sh, b.gaussians.sh) and torch.equal(a.background, b.background)
+
+
+# --- drift ------------------------------------------------------------------------------------------
+
+
+def drifting(gains: bool) -> tuple[Scene, np.ndarray, np.ndarray]:
+    """The known scene at 50 mK of noise, with offsets up to 1 °C and contrast up to 5 % about 22 °C."""
+    rng = np.random.default_rng(4)
+    offset, gain = rng.uniform(-1, 1, 32), 1 + 0.05 * gains * rng.uniform(-1, 1, 32)
+    scene = changed(ring()[0], lambda i, t: 22 + offset[i] + gain[i] * (t - 22) + 0.05 * rng.standard_normal(t.shape))
+    return scene, gain, offset
+
+
+@pytest.mark.parametrize("gains", [False, True])
+def test_drift_is_found_again(gains: bool) -> None:
+    scene, gain, offset = drifting(gains)
+    rgb = ring()[1]
+    model = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
+    names = [f.name for f in scene.train_frames]
+    assert list(model.drift) == names
+    found = np.array([model.drift[n] for n in names])
+    train = [int(n) for n in names]
+    at_22 = (found[:, 0] - 1) * 22 + found[:, 1]  # photograph less image where the image is 22 °C
+    np.testing.assert_allclose(at_22 - np.median(at_22), offset[train] - np.median(offset[train]), atol=0.1)
+    if gains:
+        np.testing.assert_allclose(found[:, 0] / np.median(found[:, 0]), gain[train] / np.median(gain[train]), atol=0.015)
+        assert np.median(np.log(found[:, 0])) == pytest.approx(0.0, abs=0.01)
+    # Up to the gauge the model is that of the scene without drift; ignoring drift costs several times as much.
+    errors = {}
+    for kind, m in (("with", model), ("without", fit_thermal(scene, rgb, SFM_PER_METRE, ThermalConfig(drift="off")))):
+        left = []
+        for frame in ring()[0].held_out_frames:
+            e = m.render(RIG.thermal, scene.thermal_from_world(frame.name, SFM_PER_METRE)) - frame.thermal
+            left.append(np.abs(e - np.median(e)).mean())
+        errors[kind] = np.mean(left)
+    assert errors["with"] < 0.05 and errors["with"] < 0.2 * errors["without"]
+
+
+def test_without_drift_none_is_modelled() -> None:
+    rng = np.random.default_rng(6)
+    noisy = changed(ring()[0], lambda _, t: t + 0.05 * rng.standard_normal(t.shape))
+    assert fit_thermal(noisy, ring()[1], SFM_PER_METRE, LINEAR).drift == {}
+
+
+def test_gauge() -> None:
+    g = torch.Generator().manual_seed(0)
+    images = [torch.rand(9, 7, generator=g) for _ in range(5)]
+    drift = Drift(0.4, torch.tensor([0.8, 1.1, 1.3, 1.2, 0.9]), torch.tensor([0.1, -0.3, 0.2, 0.4, 0.0]))
+    photographs = [drift.of(f, i) for f, i in enumerate(images)]
+    found = estimate("gain-offset", 0.4, images, photographs, [torch.ones(9, 7)] * 5)
+    torch.testing.assert_close(found.gain, drift.gain, atol=1e-4, rtol=0)
+    torch.testing.assert_close(found.offset, drift.offset, atol=1e-4, rtol=0)
+    fixed, gain, offset = in_gauge(drift)
+    assert float(fixed.gain.log().median()) == pytest.approx(0.0, abs=1e-6)
+    assert float(fixed.offset.median()) == pytest.approx(0.0, abs=1e-6)
+    for f, image in enumerate(images):  # photographs stay what they were
+        torch.testing.assert_close(fixed.of(f, 0.4 + offset + gain * (image - 0.4)), photographs[f], atol=1e-6, rtol=0)
+
+
+# --- certainty --------------------------------------------------------------------------------------
+
+
+def noisy(sigma_c: float, seed: int) -> Scene:
+    rng = np.random.default_rng(seed)
+    return changed(ring()[0], lambda _, t: t + sigma_c * rng.standard_normal(t.shape))
+
+
+def lightly_held(scene: Scene) -> tuple[Fit, ThermalModel]:
+    """Fitted under a ridge too light to bias what is seen."""
+    rgb = ring()[1]
+    fit = least_squares(scene, rgb)
+    problem = fit.problem((0.03,), range(len(fit.data)))
+    x = solve(problem, problem.prior, iterations=80).x
+    return fit, as_model(x, fit.design, rgb, training_range(scene), SFM_PER_METRE, {})
+
+
+def test_standard_error_is_that_of_repeated_noise() -> None:
+    """Over noise drawn again and again: the scatter of the temperatures, and their distance from the truth."""
+    runs = []
+    for seed in range(12):
+        scene = noisy(0.5, seed)
+        runs.append(gaussian_temperatures(scene, lightly_held(scene)[1]))
+    truth = ring()[2]
+    true_c = truth.range.expand((0.5 + C0 * truth.gaussians.sh[:, 0, 0]).numpy())
+    found = np.array([r.temperature for r in runs])
+    scatter, error = np.std(found, axis=0, ddof=1), np.sqrt(np.mean((found - true_c) ** 2, axis=0))
+    stated = np.sqrt(np.mean([r.std.astype(np.float64) ** 2 for r in runs], axis=0))
+    seen = runs[0].views >= 14
+    assert seen.sum() > 100
+    assert np.median(stated[seen] / scatter[seen]) == pytest.approx(1.0, abs=0.2)
+    assert np.median(stated[seen] / error[seen]) == pytest.approx(1.0, abs=0.2)
+    assert np.corrcoef(np.log(stated[seen]), np.log(scatter[seen]))[0, 1] > 0.8  # it tells the sure from the unsure
+
+
+def test_standard_error_is_the_inverse_matrixs() -> None:
+    """Samples and blocks against the inverse of the whole matrix."""
+    scene = noisy(0.5, 1)
+    fit, model = lightly_held(scene)
+    design, n, k = fit.design, fit.design.gaussians, fit.design.coefficients
+    matrix = torch.zeros(design.size, design.size, dtype=torch.float64)
+    unit, seen, squares = torch.eye(design.size), torch.zeros(n, k, 1), 0.0
+    for f, frame in enumerate(scene.train_frames):
+        columns = [design.image(f, part.contiguous()).flatten(0, 1) for part in unit.split(8, dim=1)]
+        dense = torch.cat(columns, dim=1).double()
+        matrix += dense.T @ dense
+        design.add_harmonics(f, design.weights(f, torch.ones(30, 36, 1))[0], seen)
+        squares += float(((model.render(RIG.thermal, fit.data.poses[f]) - frame.thermal) ** 2).sum())
+    spread = np.concatenate([f.thermal.ravel() for f in scene.train_frames]).var()
+    penalty = ridge(design, fit.evidence.coverage, DEFAULT_FACTOR).double()
+    design.harmonics(penalty)[:, 0] = float(C0**2 * squares / (28 * 1080) / spread)
+    penalty[-1] = float(squares / (28 * 1080) / spread)
+    inverse = torch.linalg.inv(matrix + torch.diag(penalty))
+    freedom = float((matrix * inverse).sum())
+    blocks = torch.stack([inverse[k * i : k * (i + 1), k * i : k * (i + 1)] for i in range(n)])
+    mean_basis = (seen[..., 0] / fit.evidence.coverage[:-1, None]).double()
+    variance = torch.einsum("ni,nij,nj->n", mean_basis, blocks, mean_basis)
+    exact = (squares / (28 * 1080 - freedom) * variance).sqrt().numpy()
+    found = gaussian_temperatures(scene, model)
+    ratio = (found.std / exact)[found.views >= 14]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.15)
+    assert np.quantile(ratio, 0.1) > 0.7 and np.quantile(ratio, 0.9) < 1.5  # eight samples
+
+
+def test_what_no_view_sees_is_not_known() -> None:
+    _, rgb, _ = ring()
+    means = rgb.gaussians.means.clone()
+    means[5] = torch.tensor([0.0, 0.0, 400.0])  # out of every view
+    scene = noisy(0.5, 9)
+    model = fit_thermal(scene, replace(rgb, gaussians=replace(rgb.gaussians, means=means)), SFM_PER_METRE, LINEAR)
+    found = gaussian_temperatures(scene, model)
+    values = np.concatenate([f.thermal.ravel() for f in scene.train_frames])
+    assert found.views[5] == 0 and 20 < found.views.max() <= 28
+    assert found.temperature[5] == pytest.approx(values.mean(), abs=0.3)
+    assert found.std[5] == pytest.approx(values.std(), rel=0.5)  # a sample of eight
+    assert np.median(found.std[found.views >= 14]) < 0.1 * found.std[5]
+
+
+def test_temperatures_are_what_the_views_see() -> None:
+    scene, rgb, _ = ring()
+    model = fitted()
+    found = gaussian_temperatures(scene, model)
+    truth = ring()[2]
+    true_c = truth.range.expand((0.5 + C0 * truth.gaussians.sh[:, 0, 0]).numpy())
+    seen = found.views >= 14
+    assert np.median(np.abs(found.temperature - true_c)[seen]) < 0.05
+    assert (found.std > 0).all() and len(found.std) == len(rgb.gaussians)
