@@ -35,12 +35,18 @@ class Problem:
     inverses: Tensor
     background: float
 
-    def gradient(self, x: Tensor, each: Callable[[], None]) -> tuple[Tensor, Tensor]:
-        """Half the direction of descent `[D, C]`, and the value of the sum `[C]` in float64."""
+    def gradient(
+        self, x: Tensor, each: Callable[[], None] = lambda: None, shown: Sequence[Tensor] | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Half the direction of descent `[D, C]`, and the value of the sum `[C]` in float64.
+
+        Args:
+            shown: `design.image` of `x` by frame, where it is known already.
+        """
         away = x - self.prior
         out, value = -self.ridge * away, (self.ridge * away**2).sum(0, dtype=torch.float64)
         for f in self.frames:
-            residual = self.images[f] - self.design.image(f, x)
+            residual = self.images[f] - (self.design.image(f, x) if shown is None else shown[f])
             weighted = self._weighted(f, residual)
             value += (residual * weighted).sum((0, 1), dtype=torch.float64)
             self.design.add_transpose(f, weighted, out)
@@ -98,6 +104,7 @@ def solve(
     iterations: int,
     tolerance: float = 0.0,
     settled: Callable[[Tensor], bool] = lambda x: False,
+    shown: Sequence[Tensor] | None = None,
     each: Callable[[], None] = lambda: None,
 ) -> Solution:
     """Conjugate gradients from `start` `[D, C]`.
@@ -106,10 +113,11 @@ def solve(
         iterations: at most.
         tolerance: stop when an iteration lowered no problem's sum by more than this share of it.
         settled: asked after each iteration, with the unknowns, whether it was the last.
+        shown: see `Problem.gradient`.
         each: called after each frame of each pass.
     """
     x, done = start.clone(), 0
-    r, value = problem.gradient(x, each)
+    r, value = problem.gradient(x, each, shown)
     z = problem.precondition(r)
     p, rz = z.clone(), _dot(r, z)
     first = rz
