@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rtgs.errors import RtgsError
     from rtgs.evaluate import evaluate
     from rtgs.fit_rgb import fit_rgb
-    from rtgs.fit_thermal import fit_thermal
+    from rtgs.fit_thermal import fit_thermal, gaussian_temperatures
     from rtgs.gaussians import Gaussians
     from rtgs.geometry import SE3, Sim3
     from rtgs.io.capture import load_capture
@@ -45,7 +45,7 @@ _WHERE = {
     "errors": ("RtgsError",),
     "evaluate": ("evaluate",),
     "fit_rgb": ("fit_rgb",),
-    "fit_thermal": ("fit_thermal",),
+    "fit_thermal": ("fit_thermal", "gaussian_temperatures"),
     "gaussians": ("Gaussians",),
     "geometry": ("SE3", "Sim3"),
     "io.capture": ("load_capture",),
@@ -93,6 +93,7 @@ __all__ = [
     "evaluate",
     "fit_rgb",
     "fit_thermal",
+    "gaussian_temperatures",
     "load_capture",
     "read_ply",
     "render",

@@ -43,7 +43,6 @@ DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
 DEMO_RUN = RunConfig(
     rgb=RgbConfig(steps=1500),
     scale=ScaleConfig(batch=12),
-    thermal=ThermalConfig(steps=500),
 )
 
 
