@@ -56,7 +56,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
         nonlocal done
         done = min(done + 1, total - 1)
         if progress is not None:
-            progress(done, total, "temperatures of the Gaussians")
+            progress(done, total, "standard errors")
 
     signs = torch.Generator().manual_seed(0)
     coverage, views, squares = torch.zeros(n + 1), torch.zeros(n), 0.0
@@ -98,7 +98,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
     variance += torch.einsum("nk,nkc->nc", mean_basis, given_others).square().mean(dim=1)
     value = 0.5 + (mean_basis * gaussians.sh[..., 0]).sum(dim=1)
     if progress is not None:
-        progress(total, total, "temperatures of the Gaussians")
+        progress(total, total, "standard errors")
     return GaussianTemperatures(
         model.colors.expand(value.numpy()),
         (model.colors.width * sigma * variance.sqrt()).numpy().astype(np.float32),

@@ -282,7 +282,7 @@ def reweighted(
         shown = [i[..., None] for i in images]
         solution = solve(problem, x, iterations=ITERATIONS, tolerance=TOLERANCE, shown=shown, each=passes)
         x, steps = solution.x, steps + solution.iterations
-        passes.text = f"residual {rms:.4f} of the range, {float(solution.residual[0]):.0e} of the gradient"
+        passes.text = f"residual {rms:.4f}"
     drift, gain, offset = in_gauge(drift)
     return moved(fit.design, x, gain, fit.median * (1.0 - gain) + offset), drift, history
 
