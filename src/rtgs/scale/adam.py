@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 
 from rtgs.config import ScaleConfig
-from rtgs.scale.objective import Objective
 from rtgs.scale.records import History
 
 
+class Descendable(Protocol):
+    """Per-frame losses with their slopes by θ."""
+
+    @property
+    def frames(self) -> Sequence[Any]: ...
+
+    def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]: ...
+
+
 def adam(
-    objective: Objective, theta: float, config: ScaleConfig, counter: Callable[[str], None] | None = None
+    objective: Descendable, theta: float, config: ScaleConfig, counter: Callable[[str], None] | None = None
 ) -> tuple[float, History]:
     """The paper's solver: Adam on θ = ln s (Eq. 8), over all frames or a random mini-batch a step.
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtgs.config import PAPER_EPSILON, ScaleConfig
 from rtgs.errors import RtgsError
@@ -108,11 +107,12 @@ def _globally(
         thetas, curves = search.scan(limits)
         scan = Scan.of(thetas, curves, [f.name for f in search.scan_frames])
         candidates = local_minima(curves)
-        doubt = _doubt(thetas, curves, candidates[0], limits)
+        if candidates[0] == len(thetas) - 1:
+            doubt = f"the loss is lowest at an end of the scan: the scale lies above {_what_can_be_told(limits)}"
         starts = [float(thetas[j]) for j in candidates]
     counter.plan(len(starts) * search.refine_renders() + 6 * len(frames))
-    minima = sorted((search.refine(theta) for theta in starts), key=lambda m: float(m.losses.mean()))
-    best = minima[0]
+    minima = search.refine(starts)
+    best = minima[0].place
     doubt = doubt or _outside(best.theta, limits)
 
     objective = pictures.objective(frames)
@@ -128,10 +128,11 @@ def _globally(
             break
         count *= 2
     used = [frames[i] for i in local.frames]
+    doubt = doubt or _no_better_than_none(objective, local.frames, theta, limits, counter)
     disagreeing = [] if doubt or not closed else search.disagreeing(theta, used)
     renders = search.renders + objective.renders + pictures.renders
-    rivals = _rivals(minima, pixel, config.seed)
-    found = _Found(theta, math.exp(best.start), scan, search.history, rivals, disagreeing, renders)
+    rivals = _rivals(minima, config.seed)
+    found = _Found(theta, math.exp(minima[0].start), scan, search.history, rivals, disagreeing, renders)
     return _result(scene, config, used, limits, objective, local, found, doubt, closed)
 
 
@@ -209,18 +210,21 @@ def _outside(theta: float, limits: tuple[float, float]) -> str:
     return f"the scale found, {s:.4g}, lies {'below' if s < limits[0] else 'above'} {_what_can_be_told(limits)}"
 
 
-def _doubt(thetas: NDArray[np.float64], curves: NDArray[np.float64], best: int, limits: tuple[float, float]) -> str:
-    """Why a scan shows no scale, or nothing: its minimum must lie inside and be clearly better than no baseline at all."""
-    if best == len(thetas) - 1:
-        return f"the loss is lowest at an end of the scan: the scale lies above {_what_can_be_told(limits)}"
-    gain = significance(curves[:, 0] - curves[:, best])
-    if best == 0 or gain < UNLIKELY:
-        fits = [t for j, t in enumerate(thetas) if significance(curves[:, j] - curves[:, best]) < UNLIKELY]
-        return (
-            f"the images fit no baseline at all as well as any: the scale lies below {math.exp(max(fits)):.4g}, if anywhere, and "
-            f"perhaps below {_what_can_be_told(limits)}"
-        )
-    return ""
+def _no_better_than_none(
+    objective: Objective, indices: Sequence[int], theta: float, limits: tuple[float, float], counter: Counter
+) -> str:
+    """Why a scale is none that the images fit hardly better than no baseline at all, which is half a pixel of flow."""
+    counter.plan(2 * len(indices))
+    gains = []
+    for i in indices:
+        gains.append(objective.loss(i, math.log(limits[0])) - objective.loss(i, theta))
+        counter("no baseline")
+    if significance(np.array(gains)) >= UNLIKELY:
+        return ""
+    return (
+        f"the images fit no baseline at all as well as {math.exp(theta):.4g}: if there is a scale, it may lie below "
+        f"{_what_can_be_told(limits)}"
+    )
 
 
 def _what_can_be_told(limits: tuple[float, float]) -> str:
@@ -230,13 +234,11 @@ def _what_can_be_told(limits: tuple[float, float]) -> str:
     )
 
 
-def _rivals(minima: Sequence[Refined], pixel: float, seed: int) -> list[Minimum]:
-    """The other minima, those that ran into the best one left out."""
-    best, rng, rivals = minima[0], np.random.default_rng(seed), list[Minimum]()
+def _rivals(minima: Sequence[Refined], seed: int) -> list[Minimum]:
+    """The minima that are not the best."""
+    rng, rivals = np.random.default_rng(seed), list[Minimum]()
     for other in minima[1:]:
-        if all(abs(other.theta - math.log(m.sfm_per_metre)) > pixel for m in rivals) and abs(other.theta - best.theta) > pixel:
-            above = other.losses - best.losses
-            picks = rng.integers(len(above), size=(1000, len(above)))
-            chance = float((above[picks].mean(axis=1) < 0).mean())
-            rivals.append(Minimum(math.exp(other.theta), float(above.mean()), chance))
+        picks = rng.integers(len(other.above), size=(1000, len(other.above)))
+        chance = float((other.above[picks].mean(axis=1) < 0).mean())
+        rivals.append(Minimum(math.exp(other.place.theta), float(other.above.mean()), chance))
     return rivals

@@ -14,8 +14,9 @@ from rtgs.scale.records import Counter
 
 _RESAMPLES = 1000
 _GRID = 257
-_NODES = (-1.0, -0.4, 0.0, 0.4, 1.0)  # in window half-widths
+_NODES = (-1.0, -0.35, 0.35, 1.0)  # in window half-widths
 _MOST_DOUBLINGS = 6
+_MOST_SETTLINGS = 4
 
 
 class LocalCurves:
@@ -96,11 +97,20 @@ def widened(curves: LocalCurves, frames: Sequence[int], theta: float, half_width
         inside = np.mean((minima > grid[0]) & (minima < grid[-1]))
         best = curve_minimum(grid, dense.mean(axis=0))
         if inside > 0.99 and grid[0] < best < grid[-1]:
-            curves.extend(thetas=[best])  # the loss itself at the curve's minimum, not a cubic's guess
+            _settle(curves, half_width)
             return True
         reach = half_width * 2 ** (doubling + 1)
         thetas = [theta - reach, theta + reach]
     return False
+
+
+def _settle(curves: LocalCurves, half_width: float) -> None:
+    """Evaluate the loss itself at the curve's minimum: between far-apart nodes a cubic may dip where the loss does not."""
+    for _ in range(_MOST_SETTLINGS):
+        best = curves.minimum()
+        if min(abs(best - theta) for theta in curves.thetas) < 0.02 * half_width:
+            break
+        curves.extend(thetas=[best])
 
 
 def block_length(frames: int) -> int:

@@ -16,7 +16,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.image import GRAY_WEIGHTS, downsample, downsample_mask, to_gray
 from rtgs.losses import NgfPyramid
-from rtgs.ngf import FusedNgf
+from rtgs.ngf import FusedNgf, Products
 from rtgs.render import Direction, RenderSettings, render, render_with_tangents
 from rtgs.scene import Frame, Rig, Scene
 
@@ -64,9 +64,10 @@ class Objective:
         self._dtype = gaussians.means.dtype
         self._background = to_gray(background).to(self._dtype)
         self._settings = replace(settings, with_depth=False, channel_weights=GRAY_WEIGHTS)
+        self._reduction = reduction
         self._camera: Camera = reduced(scene.rig.thermal, reduction)
         self._rgb_from_thermal = scene.rig.rgb_from_thermal.to_torch(torch.float64)
-        self._world_from_rgb = [scene.world_from_rgb[f.name].to_torch(torch.float64) for f in frames]
+        self._world_from_rgb = [scene.world_from_rgb_at_thermal(f.name).to_torch(torch.float64) for f in frames]
         valid = scene.capture.thermal_mask
         mask = torch.from_numpy(np.ascontiguousarray(valid))
         if thermal is None:
@@ -131,6 +132,11 @@ class Objective:
         _, change = along(self._pyramids[index].residuals, gray, rates[0])
         return Evaluation(float(loss), float(slope), 2.0 * float(change @ change))
 
+    def picture(self, index: int, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Gray picture `[h, w]` and its derivative by θ, for other losses than Eq. 7."""
+        gray, rates = self._along(index, theta, [self._scale_direction(theta)])
+        return gray.numpy(), rates[0].numpy()
+
     def curvatures(self, index: int, theta: float, changes: Sequence[Callable[[Rig, float], Rig]]) -> NDArray[np.float64]:
         """`[1 + K, 1 + K]`: the Gauss–Newton matrix of θ and of K ways in which the rig may be off (full size only).
 
@@ -151,6 +157,37 @@ class Objective:
             return self._fused[index].products(gray.numpy(), np.ascontiguousarray(rates.numpy())).curvature
         jacobian = torch.stack([along(self._pyramids[index].residuals, gray, rate)[1] for rate in rates])
         return (2.0 * jacobian @ jacobian.T).numpy()
+
+    def loss_from(self, index: int, camera: Camera, camera_from_world: SE3) -> float:
+        """Eq. 7 for one frame, its thermal camera (at full size) being this one and standing there."""
+        self.renders += 1
+        camera = reduced(camera, self._reduction)
+        with torch.no_grad():
+            view = render(self._gaussians, camera, camera_from_world.to_torch(torch.float64), settings=self._settings)
+            gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
+            return self._fused[index].loss(gray.numpy()) if self._fused else float(self._pyramids[index](gray))
+
+    def products_from(self, index: int, camera: Camera, camera_from_world: SE3, ways: Sequence[Direction]) -> Products:
+        """The same, with its derivatives along ways for that camera to change, and their Gauss–Newton matrix.
+
+        Raises:
+            RtgsError: no way or more than eight; the "cuda" back end, which has no forward mode.
+        """
+        self.renders += 1
+        lens = ("fl_x", "fl_y", "cx", "cy")
+        small = [replace(way, **{k: getattr(way, k) / self._reduction for k in lens}) for way in ways]
+        pose = camera_from_world.to_torch(torch.float64)
+        camera = reduced(camera, self._reduction)
+        view, tangents = render_with_tangents(self._gaussians, camera, pose, small, settings=self._settings)
+        gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
+        rates = tangents.over(self._background[None])[..., 0]
+        if self._fused:
+            return self._fused[index].products(gray.numpy(), np.ascontiguousarray(rates.numpy()))
+        pyramid = self._pyramids[index]
+        derivatives = [along(pyramid, gray, rate) for rate in rates]
+        jacobian = torch.stack([along(pyramid.residuals, gray, rate)[1] for rate in rates])
+        slope = np.array([float(d[1]) for d in derivatives])
+        return Products(float(derivatives[0][0]), slope, (2.0 * jacobian @ jacobian.T).numpy())
 
     def _along(self, index: int, theta: float, ways: Sequence[Direction]) -> tuple[Tensor, Tensor]:
         """Gray picture `[h, w]` and its tangents `[K, h, w]`."""

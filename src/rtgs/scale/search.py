@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from rtgs.models import RgbModel
-from rtgs.scale.descend import descend
+from rtgs.scale.descend import Place, descend
 from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
 from rtgs.scale.objective import Objective, thermal_range
 from rtgs.scale.records import Counter, History
@@ -150,13 +150,16 @@ def significance(differences: NDArray[np.float64]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A minimum that the search ended in: θ, the curvature there and the frames' losses and slopes at full size."""
+    """A minimum that the search ended in, or left behind.
 
-    theta: float
+    Attributes:
+        start: ln s in the scan. place: as refined, at the finest size it came to.
+        above: `[F]`, the frames' losses above those of the best, at that size.
+    """
+
     start: float
-    curvature: float
-    losses: NDArray[np.float64]
-    slopes: NDArray[np.float64]
+    place: Place
+    above: NDArray[np.float64]
 
 
 class Search:
@@ -185,8 +188,8 @@ class Search:
         return thetas, curves
 
     def refine_renders(self) -> int:
-        """About how many pictures `refine` draws."""
-        return 4 * len(self._refined) * (self.halved + 1)
+        """About how many pictures `refine` draws from one start."""
+        return 5 * len(self._refined) * (self.halved + 1)
 
     def disagreeing(self, theta: float, frames: Sequence[Frame]) -> list[str]:
         """Frames that place their minimum elsewhere: two coarse pixels of flow or more away, and clearly.
@@ -205,21 +208,34 @@ class Search:
         far = (np.abs(steps[curves.argmin(axis=1)]) >= 2) & (here - curves.min(axis=1) > 0.25 * depth)
         return [f.name for f, apart in zip(frames, far, strict=True) if apart] if depth > 0 else []
 
-    def refine(self, theta: float) -> Refined:
-        """Coarse to fine from a scan's minimum."""
-        start, curvature = theta, 0.0
+    def refine(self, starts: Sequence[float]) -> list[Refined]:
+        """Down from the scan's minima, coarse to fine; best first.
+
+        Size by size, a place that runs into a better one is dropped, and one that is clearly worse goes no further.
+        """
+        behind: list[Refined] = []
+        running = [(start, start) for start in starts]
         for halved in range(self.halved, -1, -1):
             objective = self._pictures.objective(self._refined, halved)
-            pixel = 2**halved / (self._pixel_at_one * math.exp(theta))  # of this size, in θ
-            theta, curvature = descend(
-                objective,
-                range(len(self._refined)),
-                theta,
-                longest=min(pixel, 0.5),
-                tolerance=0.05 * pixel if halved else 0.01 * pixel,
-                counter=self._counter,
-                history=self.history,
-            )
+            places = [(start, self._descend(objective, theta, halved)) for start, theta in running]
             self.renders += objective.renders
-        found = [objective.evaluate(i, theta) for i in range(len(self._refined))]
-        return Refined(theta, start, curvature, np.array([e.loss for e in found]), np.array([e.slope for e in found]))
+            places.sort(key=lambda p: p[1].loss)
+            best = places[0][1]
+            kept: list[Refined] = []
+            for start, place in places:
+                if all(abs(place.theta - other.place.theta) > self._pixel(other.place.theta, halved) for other in kept):
+                    kept.append(Refined(start, place, place.losses - best.losses))
+            behind += [r for r in kept[1:] if significance(r.above) >= UNLIKELY]
+            kept = [kept[0], *(r for r in kept[1:] if significance(r.above) < UNLIKELY)]
+            running = [(r.start, r.place.theta) for r in kept]
+        return [*kept, *sorted(behind, key=lambda r: float(r.above.mean()))]
+
+    def _descend(self, objective: Objective, theta: float, halved: int) -> Place:
+        pixel = min(self._pixel(theta, halved), 0.5)
+        tolerance = (0.05 if halved else 0.01) * pixel
+        indices = range(len(self._refined))
+        return descend(objective, indices, theta, pixel=pixel, tolerance=tolerance, counter=self._counter, history=self.history)
+
+    def _pixel(self, theta: float, halved: int) -> float:
+        """Change of θ that moves the picture of this size by a pixel."""
+        return 2**halved / (self._pixel_at_one * math.exp(theta))
