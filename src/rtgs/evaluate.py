@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtgs.image import GRAY_WEIGHTS
+from rtgs.lpips import SMALLEST_PX, Lpips
 from rtgs.metrics import mae, psnr, ssim_index
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.pictures import edge_overlay, error_map, palette, save_png, to_picture
@@ -24,23 +25,25 @@ def evaluate(
     thermal_model: ThermalModel,
     naive_model: ThermalModel | None = None,
     *,
+    lpips: Lpips | None = None,
     renders: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Held-out PSNR, SSIM and temperature error.
+    """Held-out PSNR, SSIM, LPIPS and temperature error.
 
-    Nothing is fitted to a held-out frame. Thermal PSNR and SSIM are in the fixed range of the training images (`LinearRange`), on
-    valid pixels.
+    Nothing is fitted to a held-out frame. Thermal PSNR, SSIM and LPIPS are in the fixed range of the training images (`LinearRange`), on
+    valid pixels; LPIPS sees them as gray pictures, clipped to the range.
 
     Args:
         naive_model: the control, fitted at `sfm_per_metre` = 1.
+        lpips: without it, and for images under 32 px a side, there is no LPIPS.
         renders: a folder for pictures: reference, render and error of each view, and the edge overlays at scale 1 and at the
             recovered scale.
 
     Returns:
-        {"rgb": {"psnr", "ssim", "per_frame"}, "thermal": {"psnr", "ssim", "mae_c", "per_frame"}, "thermal_naive": likewise,
-        "temperature_range_c": [lo, hi]}; a relative capture has "mae_counts" and "count_range" instead. Without held-out frames the
-        scores are absent.
+        {"rgb": {"psnr", "ssim", "lpips", "per_frame"}, "thermal": {"psnr", "ssim", "lpips", "mae_c", "per_frame"},
+        "thermal_naive": likewise, "temperature_range_c": [lo, hi]}; a relative capture has "mae_counts" and "count_range" instead.
+        Without held-out frames the scores are absent.
     """
     frames = scene.held_out_frames
     unit = "c" if scene.capture.thermal_unit == "celsius" else "counts"
@@ -49,7 +52,7 @@ def evaluate(
     for done, frame in enumerate(frames):
         view = rgb_model.render(scene.rig.rgb, scene.rgb_from_world(frame.name))
         mask = scene.capture.rgb_mask
-        scores["rgb"][frame.name] = {"psnr": psnr(view, frame.rgb, mask=mask), "ssim": ssim_index(view, frame.rgb, mask=mask)}
+        scores["rgb"][frame.name] = _likeness(view, frame.rgb, mask, lpips)
         if renders is not None:
             save_png(renders / "rgb" / f"{frame.name}.reference.png", to_picture(frame.rgb))
             save_png(renders / "rgb" / f"{frame.name}.render.png", to_picture(view))
@@ -59,8 +62,7 @@ def evaluate(
             temperature = model.render(scene.rig.thermal, scene.thermal_from_world(frame.name, model.sfm_per_metre))
             a, b = model.range.normalise(temperature), model.range.normalise(frame.thermal)
             scores[key][frame.name] = {
-                "psnr": psnr(a, b, mask=mask),
-                "ssim": ssim_index(a, b, mask=mask),
+                **_likeness(a, b, mask, lpips),
                 f"mae_{unit}": mae(temperature, frame.thermal, mask=mask),
             }
             if renders is not None:
@@ -84,6 +86,13 @@ def evaluate(
     span = thermal_model.range
     result["temperature_range_c" if unit == "c" else "count_range"] = [span.lo, span.hi]
     return result
+
+
+def _likeness(view: np.ndarray, reference: np.ndarray, mask: np.ndarray, lpips: Lpips | None) -> dict[str, float]:
+    found = {"psnr": psnr(view, reference, mask=mask), "ssim": ssim_index(view, reference, mask=mask)}
+    if lpips is not None and min(mask.shape) >= SMALLEST_PX:
+        found["lpips"] = lpips(view, reference, mask=mask)
+    return found
 
 
 def _draw_thermal(

@@ -17,14 +17,14 @@ SSIM_RADIUS_PX = 5  # torchmetrics' Gaussian window at σ = 1.5 is 11 × 11
 
 def psnr(render: ArrayLike, reference: ArrayLike, *, data_range: float = 1.0, mask: NDArray[np.bool_] | None = None) -> float:
     """Peak signal-to-noise ratio, 10 log₁₀(data_range² / MSE), in dB; infinite for equal images."""
-    a, b, inside = _checked(render, reference, mask)
+    a, b, inside = checked(render, reference, mask)
     mse = float(np.mean((a - b)[inside] ** 2))
     return float("inf") if mse == 0 else 10.0 * float(np.log10(data_range**2 / mse))
 
 
 def mae(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
     """Mean absolute error, in the images' own unit (°C for temperatures)."""
-    a, b, inside = _checked(render, reference, mask)
+    a, b, inside = checked(render, reference, mask)
     return float(np.mean(np.abs(a - b)[inside]))
 
 
@@ -39,7 +39,7 @@ def ssim_index(
     Raises:
         ValueError: also when a side is under 11 px, or no window fits into the mask.
     """
-    a, b, inside = _checked(render, reference, mask)
+    a, b, inside = checked(render, reference, mask)
     if min(inside.shape) <= 2 * SSIM_RADIUS_PX:
         raise ValueError(f"SSIM needs at least {2 * SSIM_RADIUS_PX + 1} px a side; got {a.shape}")
     a, b = (np.where(inside[..., None], image, 0.0) for image in (a, b))  # a NaN outside the mask must not spread
@@ -54,10 +54,10 @@ def ssim_index(
     return float(values[0, :, whole].mean())
 
 
-def _checked(
+def checked(
     render: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Both images as `[H, W, C]` float64 and the pixels `[H, W]` that count."""
+    """Both images as `[H, W, C]` float64 and the pixels `[H, W]` that count; raises as said above."""
     a, b = np.asarray(render, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if a.shape != b.shape or a.ndim not in (2, 3):
         raise ValueError(f"images are [H, W] or [H, W, C] of one shape; got {a.shape} and {b.shape}")

@@ -298,7 +298,11 @@ def _metrics(run: _Run) -> str:
     note = "<p>Means over held-out frames" + (f" ({count})" if count else "") + "; nothing was fitted to them."
     if run.range_c:
         lo, hi = run.range_c
-        note += f" Thermal PSNR and SSIM are on the range {lo:.1f} to {hi:.1f} {run.unit or 'counts'}."
+        note += f" Thermal PSNR, SSIM and LPIPS are on the range {lo:.1f} to {hi:.1f} {run.unit or 'counts'}."
+    if "lpips" in known:
+        note += " LPIPS (AlexNet): how different two pictures look, 0 for equal ones."
+    for text in run.metrics.get("notes") or []:
+        note += f"</p><p>{html.escape(str(text))} Then <code>{html.escape(f'rtgs eval {shlex.quote(str(run.path))}')}</code>."
     return _section(
         "Metrics",
         f'<div class="wide"><table class="numbers"><thead><tr><td></td>{head}</tr></thead>{body}</table></div>{note}</p>',

@@ -15,6 +15,7 @@ from rtgs.evaluate import evaluate
 from rtgs.fit_rgb import fit_rgb, model_from_ply
 from rtgs.fit_thermal import fit_thermal, gaussian_temperatures
 from rtgs.io.capture import load_capture
+from rtgs.lpips import available
 from rtgs.models import ThermalModel
 from rtgs.pipeline.folder import STAGES, RunFolder, Stage, fingerprints
 from rtgs.pipeline.summary import metric_lines
@@ -196,10 +197,14 @@ class Pipeline:
 
     def _evaluate(self) -> dict[str, float]:
         rgb, thermal, naive = self.folder.read_rgb(), self.folder.read_thermal(), self.folder.read_thermal("thermal_naive")
+        networks, notes = available(["alexnet"])
+        lpips, scene, renders = networks.get("alexnet"), self.scene, self.folder.renders
         scores, seconds = self._timed(
             "held-out views",
-            lambda progress: evaluate(self.scene, rgb, thermal, naive, renders=self.folder.renders, progress=progress),
+            lambda progress: evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=renders, progress=progress),
         )
+        if notes:
+            scores["notes"] = notes
         scores["timings_s"] = {**self.folder.seconds(), "evaluate": seconds}
         self.folder.write_json("metrics.json", scores)
         for line in metric_lines(scores):

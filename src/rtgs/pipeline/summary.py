@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-_NAMES = {"psnr": "PSNR {:.2f} dB", "ssim": "SSIM {:.4f}", "mae_c": "MAE {:.3f} °C", "mae_counts": "MAE {:.1f} counts"}
+_NAMES = {
+    "psnr": "PSNR {:.2f} dB",
+    "ssim": "SSIM {:.4f}",
+    "lpips": "LPIPS {:.3f}",
+    "mae_c": "MAE {:.3f} °C",
+    "mae_counts": "MAE {:.1f} counts",
+}
 
 
 def metric_lines(metrics: dict[str, Any]) -> list[str]:
