@@ -29,7 +29,9 @@ ARGUMENTS = {
     "import": ["{flir,dji}", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],
     "demo": ["--out"],
+    "bench": ["synthetic"],
 }
+BENCHES = {"synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--quality", "--workers"]}
 
 
 def code_of(arguments: list[str]) -> int:
@@ -61,12 +63,22 @@ def test_help_of_a_command_names_its_arguments(command: str, capsys: pytest.Capt
     text = capsys.readouterr().out
     for argument in ARGUMENTS[command]:
         assert argument in text, argument
-    assert "(required)" in text or command == "demo"
+    assert "(required)" in text or command in ("demo", "bench")
     assert "--config" not in text  # settings are flags without a prefix
+
+
+@pytest.mark.parametrize("command", BENCHES)
+def test_help_of_a_bench_names_its_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert code_of(["bench", command, "--help"]) == 0
+    text = capsys.readouterr().out
+    for argument in BENCHES[command]:
+        assert argument in text, argument
+    assert "(required)" in text and f"rtgs bench {command}" in text
 
 
 def test_commands_are_those_tested() -> None:
     assert set(rtgs.cli._commands(RunConfig())) == set(ARGUMENTS)
+    assert set(rtgs.cli._benches()) == set(BENCHES)
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,6 +95,7 @@ HEAVY = ("torch", "numpy", "numba", "cv2", "pycolmap", "scipy", "matplotlib")
         (["--help"], "thermal"),
         (["--version"], __version__),
         (["run", "--help"], "--rgb.steps"),
+        (["bench", "synthetic", "--help"], "--scenes"),
         (["scale", "RUN", "--help"], "0.0123"),  # of the run's own settings
         (["thermal", "RUN", "--steps", "many"], ""),
     ],

@@ -19,6 +19,7 @@ from rich.progress import Progress as RichProgress
 
 from rtgs import __version__
 from rtgs.config import (
+    BenchSyntheticConfig,
     RgbConfig,
     RunConfig,
     ScaleConfig,
@@ -38,7 +39,10 @@ if TYPE_CHECKING:
 Folder = tyro.conf.Positional[Path]
 Flat = tyro.conf.arg(name="")  # a config's fields become flags without a prefix
 
+_ABOUT = "From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both."
+_ABOUT_BENCH = "The tables: this method and its rivals, on scenes whose truth is known and on captures."
 _SYNTH = SynthConfig()
+_BENCH_SYNTHETIC = BenchSyntheticConfig()
 DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
 DEMO_RUN = RunConfig(
     rgb=RgbConfig(steps=1500),
@@ -53,12 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"rtgs {__version__}")
         return
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            _commands(_saved_settings(arguments)),
-            prog="rtgs",
-            description="From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both.",
-            args=arguments or ["--help"],
-        )
+        commands, prog, about = _commands(_saved_settings(arguments)), "rtgs", _ABOUT
+        if arguments[:1] == ["bench"]:
+            commands, prog, about, arguments = _benches(), "rtgs bench", _ABOUT_BENCH, arguments[1:]
+        tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=about, args=arguments or ["--help"])
     except RtgsError as error:
         _complain(str(error))
         sys.exit(2)
@@ -262,6 +264,10 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         error = 100 * abs(found / truth - 1)
         Terminal().say(f"true scale {truth:.5g}, found {found:.5g} SfM units per metre: off by {error:.3f} %")
 
+    def bench() -> None:
+        """Tables beside rival methods: `rtgs bench synthetic --out DIR`, ..."""
+        raise AssertionError("`main` takes bench's own commands from `_benches`")
+
     return {
         "run": run,
         "sfm": sfm,
@@ -274,7 +280,32 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         "import": import_,
         "synth": synth,
         "demo": demo,
+        "bench": bench,
     }
+
+
+def _benches() -> dict[str, Callable[..., Any]]:
+    """What stands behind `rtgs bench`."""
+
+    def synthetic(out: Path, config: Annotated[BenchSyntheticConfig, Flat] = _BENCH_SYNTHETIC) -> None:
+        """How well the scale is found on synthetic scenes, by this method and by its rivals.
+
+        What an earlier call with the same settings has left in the folder is kept. To have one method done again, remove its records:
+        DIR/records/*.ours.json.
+
+        Args:
+            out: folder for scenes, records, tables and figures.
+            config: settings.
+        """
+        from rtgs.benchmarks.synthetic import bench_synthetic
+
+        reporter = Terminal()
+        with reporter.stage("bench synthetic") as progress:
+            files = bench_synthetic(out, config, progress=progress)
+        for path in files:
+            reporter.say(f"wrote {path}")
+
+    return {"synthetic": synthetic}
 
 
 def _opened(run: Path, reporter: Terminal) -> Pipeline:

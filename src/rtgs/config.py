@@ -214,6 +214,8 @@ class SynthConfig:
     """width and height of the thermal images, in pixels; None: as `size`"""
     seed: int = 0
     """of camera positions, unit, noise, gains and error directions; the scene itself never changes"""
+    rig_seed: int | None = None
+    """draws the rig's direction and rotation, and noise, gains and error directions in place of `seed`; None: the one fixed rig"""
     baseline_m: float = 0.20
     """distance between the two cameras, in metres"""
     sfm_per_metre: float | None = None
@@ -249,6 +251,8 @@ class SynthConfig:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise RtgsError(f"{name}: {value} is not a finite number from 0 up")
+        if self.rig_seed is not None and self.rig_seed < 0:
+            raise RtgsError(f"rig_seed: {self.rig_seed} is negative")
         if not 0 <= self.gain_jitter < 1:
             raise RtgsError(f"gain_jitter: {self.gain_jitter} is outside [0, 1)")
         for name in ("rig_length_error", "thermal_focal_error"):
@@ -260,6 +264,95 @@ class SynthConfig:
                 raise RtgsError(f"{name}: {getattr(self, name)} is not a finite number")
         if self.sfm_per_metre is not None and not (math.isfinite(self.sfm_per_metre) and self.sfm_per_metre > 0):
             raise RtgsError(f"sfm_per_metre: {self.sfm_per_metre} is not a finite positive number")
+
+
+BenchTable = Literal["1", "2", "beyond", "ablation"]
+BENCH_TABLES: tuple[BenchTable, ...] = get_args(BenchTable)
+
+
+@dataclass(frozen=True)
+class BenchSyntheticConfig:
+    """Settings of `rtgs bench synthetic`."""
+
+    table: Literal["1", "2", "beyond", "ablation", "all"] = "1"
+    """"1": the paper's Table I, six scenes × five seeds; "2": its Table II, what goes wrong with images and calibration; "beyond": fewer
+    frames, more noise, inverted contrast, low resolution, a scene that does not show its scale; "ablation": each default against the
+    paper's value"""
+    size: int = 400
+    """width and height of all images, in pixels"""
+    frames: int = 50
+    """pairs a scene; every eighth is held out and not seen by any method"""
+    scenes: tuple[SceneName, ...] = SCENES[:6]
+    """which scenes"""
+    seeds: int = 5
+    """trials a scene: each draws the start, the rig's direction and rotation, and the thermal noise"""
+    quality: Quality = "fast"
+    """of the RGB models, one a scene"""
+    workers: int | None = None
+    """processes; None: one a core"""
+
+    def check(self) -> None:
+        """Raises `RtgsError` where a field is out of its range."""
+        for name, least in (("size", 32), ("frames", 8), ("seeds", 1), ("workers", 1)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise RtgsError(f"{name}: {value} is too small; it must be at least {least}")
+        if not self.scenes:
+            raise RtgsError(f"scenes: none is named; there are {', '.join(SCENES)}")
+        if len(set(self.scenes)) < len(self.scenes):
+            raise RtgsError("scenes: one is named twice")
+
+
+@dataclass(frozen=True)
+class ManualConfig:
+    """A length that a person has measured."""
+
+    frames: tuple[str, str] | None = None
+    """two frames A and B: their RGB cameras are `metres` apart"""
+    metres: float | None = None
+    """the length"""
+    pixels: tuple[float, float, float, float, float, float, float, float] | None = None
+    """not the cameras but two points P and Q are `metres` apart: x and y of P, then of Q, in the RGB file of A; the same in B's"""
+
+    def check(self) -> None:
+        """Raises `RtgsError` where half of it is missing, or a length is none."""
+        if (self.frames is None) != (self.metres is None) or (self.pixels is not None and self.frames is None):
+            raise RtgsError("--manual: a length needs --manual.frames A B and --manual.metres M, and --manual.pixels needs both.")
+        if self.frames is not None and self.frames[0] == self.frames[1]:
+            raise RtgsError(f"--manual.frames: {self.frames[0]} is named twice; a length needs two frames.")
+        if self.metres is not None and not (math.isfinite(self.metres) and self.metres > 0):
+            raise RtgsError(f"--manual.metres is {self.metres}; it is a positive number.")
+
+
+@dataclass(frozen=True)
+class BenchRealConfig:
+    """Settings of `rtgs bench real`."""
+
+    manual: ManualConfig = field(default_factory=ManualConfig)
+    """row "Manual": the scale from a measured length"""
+    mast3r_weights: Path | None = None
+    """row "MASt3R": file of its weights; its package has to be on PYTHONPATH"""
+    depth_model: Path | None = None
+    """row "Metric depth": folder of a model for transformers"""
+    plane_m: float = 1.0
+    """row "Planar": distance of its plane from the thermal camera, in the unit of the rig's baseline"""
+    region: tuple[int, int, int, int] | None = None
+    """left, top, right and bottom in thermal pixels: its mean temperature is shown beside the thermal image's"""
+    region_frame: str | None = None
+    """held-out frame of the region; None: the first"""
+    thermal: ThermalConfig = ThermalConfig(drift="off")
+    """the thermal fit of every row, without drift: "auto" decides row by row, and what a frame has of its own can hide a wrong scale"""
+
+    def check(self) -> None:
+        """Raises `RtgsError` where a field is out of its range or a file is missing."""
+        self.manual.check()
+        if not (math.isfinite(self.plane_m) and self.plane_m > 0):
+            raise RtgsError(f"--plane-m is {self.plane_m}; it is a positive number.")
+        if self.region is None and self.region_frame is not None:
+            raise RtgsError("--region-frame: says where a --region is, and there is none.")
+        for name, path in (("--mast3r-weights", self.mast3r_weights), ("--depth-model", self.depth_model)):
+            if path is not None and not path.exists():
+                raise RtgsError(f"{name} {path}: no such file or folder.")
 
 
 def to_json(config: Any) -> Any:

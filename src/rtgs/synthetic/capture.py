@@ -98,10 +98,10 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
     _write_json(out / GROUND_TRUTH_JSON, {"status": "unfinished", "config": asdict(config)})  # by this `_clear` knows its own
     model = compiled_scene(config.scene)
     rig = true_rig(config)
-    names = [f"frame_{i:0{max(3, len(str(config.frames - 1)))}d}" for i in range(config.frames)]
+    names = frame_names(config)
     world_from_rgb = dict(zip(names, camera_path(config, model.model.centre), strict=True))
     world_from_thermal = {name: pose @ rig.rgb_from_thermal for name, pose in world_from_rgb.items()}
-    gains = dict(zip(names, 1 + config.gain_jitter * _rng(config, "gain").uniform(-1, 1, config.frames), strict=True))
+    gains = dict(zip(names, contrast_gains(config), strict=True))
     (out / "rgb").mkdir(exist_ok=True)
     (out / "thermal").mkdir(exist_ok=True)
     if config.thermal_clean:
@@ -115,7 +115,7 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
         scene = clean[inside > 0]
         if scene.size:
             coldest, hottest = min(coldest, float(scene.min())), max(hottest, float(scene.max()))
-        counts = record_thermal(clean, config, gains[name], _rng(config, "noise", i))
+        counts = record_thermal(clean, config, gains[name], noise_rng(config, i))
         Image.fromarray((rgb * 255 + 0.5).astype(np.uint8)).save(out / "rgb" / f"{name}.png")
         Image.fromarray(counts).save(out / "thermal" / f"{name}.tiff")
         if config.thermal_clean:
@@ -155,22 +155,33 @@ def sfm_per_metre_of(config: SynthConfig) -> float:
 
 
 def true_rig(config: SynthConfig) -> Rig:
-    """Both cameras, and where the thermal one sits: to the right of the RGB camera, a little high and forward, turned inwards."""
+    """Both cameras, and where the thermal one sits: to the right of the RGB camera, a little high and forward, turned inwards.
+
+    With a `rig_seed` it sits to any side, up to 20° forward or back, and is turned inwards and by about 1.5° about each axis.
+    """
     fov = _ROOM_FOV_DEG if config.scene == "room" else _OBJECT_FOV_DEG
     n, m = config.size, config.thermal_size or config.size
     f = 0.5 / math.tan(math.radians(fov) / 2)
     rgb = Camera("PINHOLE", n, n, f * n, f * n, 0.5 * n, 0.5 * n)
     # Off-centre by about a percent, as real ones are.
     thermal = Camera("PINHOLE", m, m, 0.985 * f * m, 0.985 * f * m, 0.508 * m, 0.494 * m)
-    direction = np.array([0.975, -0.17, 0.14])
-    toe_in_deg = 0.0 if config.scene == "room" else math.degrees(0.9 * config.baseline_m / _OBJECT_DISTANCE_M)
-    turn = rotation_from_axis_angle(np.radians([-1.1, -toe_in_deg - 0.4, 1.6]))
+    toe_in = 0.0 if config.scene == "room" else 0.9 * config.baseline_m / _OBJECT_DISTANCE_M
+    if config.rig_seed is None:
+        direction = np.array([0.975, -0.17, 0.14])
+        turn = rotation_from_axis_angle(np.radians([-1.1, -math.degrees(toe_in) - 0.4, 1.6]))
+    else:
+        rng = _rig_rng(config, "rig")
+        side, ahead = rng.uniform(0, 2 * math.pi), math.radians(rng.uniform(-20, 20))
+        direction = np.array([math.cos(ahead) * math.cos(side), math.cos(ahead) * math.sin(side), math.sin(ahead)])
+        # Turned about the axis at right angles to the baseline and the view, by as much as centres the object again.
+        inwards = toe_in * np.array([direction[1], -direction[0], 0.0])
+        turn = rotation_from_axis_angle(inwards) @ rotation_from_axis_angle(np.radians(rng.normal(0, 1.5, 3)))
     return Rig(rgb, thermal, SE3(turn, config.baseline_m * direction / np.linalg.norm(direction)))
 
 
 def written_rig(config: SynthConfig, rig: Rig) -> Rig:
     """The rig as `rig.json` tells it: the true one with the config's calibration errors."""
-    rng = _rng(config, "calibration")
+    rng = _rig_rng(config, "calibration")
     axis, across = rng.normal(size=3), rng.normal(size=3)
     axis /= np.linalg.norm(axis)
     t = rig.rgb_from_thermal.translation
@@ -262,6 +273,27 @@ def transforms_json(truth: GroundTruth) -> dict[str, Any]:
         frames.append({"file_path": f"rgb/{name}.png", "transform_matrix": matrix.tolist()})
     intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fl_x, "fl_y": c.fl_y, "cx": c.cx, "cy": c.cy}
     return {"camera_model": "PINHOLE", **intrinsics, "frames": frames}
+
+
+def frame_names(config: SynthConfig) -> list[str]:
+    return [f"frame_{i:0{max(3, len(str(config.frames - 1)))}d}" for i in range(config.frames)]
+
+
+def contrast_gains(config: SynthConfig) -> NDArray[np.float64]:
+    """`[frames]`: what each thermal image's contrast about its mean is multiplied by."""
+    return 1 + config.gain_jitter * _rig_rng(config, "gain").uniform(-1, 1, config.frames)
+
+
+def noise_rng(config: SynthConfig, frame: int) -> np.random.Generator:
+    """Of one thermal image's noise."""
+    return _rig_rng(config, "noise", frame)
+
+
+def _rig_rng(config: SynthConfig, purpose: str, index: int = 0) -> np.random.Generator:
+    """A stream of what the rig's own seed draws, where there is one: RGB images and poses stay the same."""
+    if config.rig_seed is None:
+        return _rng(config, purpose, index)
+    return np.random.default_rng([config.seed, zlib.crc32(f"{config.scene}/{purpose}".encode()), index, config.rig_seed])
 
 
 def _rng(config: SynthConfig, purpose: str, index: int = 0) -> np.random.Generator:

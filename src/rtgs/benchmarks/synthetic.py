@@ -1,0 +1,278 @@
+"""`rtgs bench synthetic`: the scale on scenes whose truth is known, by this method and its rivals (the paper's Tables I and II)."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtgs.baselines import INERF_L1, NGF_PYRAMID, RIVALS, Rival
+from rtgs.baselines import ours as ours_rival
+from rtgs.benchmarks.curves import Curves, replay
+from rtgs.benchmarks.records import BenchFolder, Record
+from rtgs.benchmarks.scenery import Trial, prepare
+from rtgs.benchmarks.tables import write_tables
+from rtgs.benchmarks.variants import BEYOND, PERTURBATIONS, REFERENCE_ROW, Variant, groups
+from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, BenchTable, Quality, ScaleConfig, SceneName, SynthConfig
+from rtgs.progress import Progress
+from rtgs.scale import Objective, ScaleEstimate, estimate_scale
+from rtgs.scale.bracket import flow_per_unit
+from rtgs.scale.objective import thermal_range
+from rtgs.scene import Frame, Scene
+
+PAPER = ScaleConfig(solver="adam")  # 200 steps at 5e-3, all frames
+NODE_SPACING_PX = 0.5  # of flow, its 90th percentile
+SETTLED_SHARE = 0.005
+OURS, RUN = ours_rival.KEY, f"{NGF_PYRAMID.key}_run"  # the latter: the paper's Adam as it is, to check its replay
+
+
+@dataclass(frozen=True)
+class Task:
+    """What one process does in one go: some rows of one trial by some methods."""
+
+    scene: SceneName
+    seed: int
+    variants: tuple[Variant, ...]
+    methods: tuple[str, ...]
+
+
+def bench_synthetic(out: Path, config: BenchSyntheticConfig, *, progress: Progress | None = None) -> list[Path]:
+    """Make what is missing of a table's records, then the table.
+
+    Args:
+        out: folder; what is there of the same settings is kept.
+        progress: called with (pieces of work done, in all, text).
+
+    Returns:
+        The files written.
+
+    Raises:
+        RtgsError: a setting out of range, or a folder of other settings.
+    """
+    config.check()
+    folder = BenchFolder(out, _settings(config))
+    tasks = [t for t in tasks_of(config) if _missing(folder, t)]
+    scenes = list(dict.fromkeys(t.scene for t in tasks))
+    done, total = 0, len(scenes) + len(tasks)
+
+    def tell(text: str) -> None:
+        if progress is not None:
+            progress(done, total, text)
+
+    tell("RGB models")
+    with _pool(config.workers) as pool:
+        pending: dict[Future[None], str | Task] = {}
+        for name in scenes:
+            pending[pool.submit(_prepare, str(folder.scene(name)), scene_config(config, name), config.quality)] = name
+        try:
+            while pending:
+                finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    work = pending.pop(future)
+                    future.result()
+                    done += 1
+                    if isinstance(work, str):
+                        for task in (t for t in tasks if t.scene == work):
+                            pending[pool.submit(_perform, str(out), config, task)] = task
+                        tell(f"{work}: RGB model")
+                    else:
+                        tell(f"{work.scene}, seed {work.seed}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return write_tables(folder, config)
+
+
+def tables_of(config: BenchSyntheticConfig) -> list[BenchTable]:
+    return ["1", "2", "beyond"] if config.table == "all" else [config.table]
+
+
+def tasks_of(config: BenchSyntheticConfig) -> list[Task]:
+    """All the work behind a table, the longest first."""
+    tasks = []
+    for table in tables_of(config):
+        for name in config.scenes:
+            if table == "1":
+                tasks.append(Task(name, 0, (REFERENCE_ROW,), (RUN,)))
+                tasks += [Task(name, k, (REFERENCE_ROW,), (*(r.key for r in RIVALS), OURS)) for k in range(config.seeds)]
+            else:
+                rows = PERTURBATIONS if table == "2" else BEYOND
+                tasks += [Task(name, k, rows, (INERF_L1.key, NGF_PYRAMID.key, OURS)) for k in range(config.seeds)]
+    return tasks
+
+
+def scene_config(config: BenchSyntheticConfig, scene: SceneName) -> SynthConfig:
+    """The capture that all trials of a scene share."""
+    return SynthConfig(scene=scene, frames=config.frames, size=config.size, thermal_clean=False)
+
+
+def _settings(config: BenchSyntheticConfig) -> dict[str, object]:
+    return {"size": config.size, "frames": config.frames, "quality": config.quality}
+
+
+def _missing(folder: BenchFolder, task: Task) -> list[tuple[Variant, str]]:
+    return [(v, m) for v in task.variants for m in task.methods if not folder.has(task.scene, task.seed, v.key, m)]
+
+
+@contextmanager
+def _pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
+    """Processes with one thread each: trials are independent, threads within one would only wait for each other."""
+    with ProcessPoolExecutor(workers or os.cpu_count() or 1, get_context("spawn"), _single_threaded) as pool:
+        yield pool
+
+
+def _single_threaded() -> None:
+    import numba
+    import torch
+
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+
+
+def _prepare(folder: str, config: SynthConfig, quality: Quality) -> None:
+    prepare(Path(folder), config, quality)
+
+
+def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:
+    folder = BenchFolder(Path(out), _settings(config))
+    trial = Trial.read(folder.scene(task.scene), scene_config(config, task.scene), task.seed)
+    for rows in groups(task.variants):
+        missing = [(v, m) for v, m in _missing(folder, task) if v in rows]
+        if not missing:
+            continue
+        clean = trial.temperatures(rows[0].capture(trial.config).thermal_size)
+        scenes = {v.key: trial.scene(v, clean) for v in rows}
+        for variant, method in missing:
+            if method == OURS:
+                folder.write(_by_ours(trial, task, variant, scenes[variant.key]))
+            elif method == RUN:
+                folder.write(_by_run(trial, task, variant, scenes[variant.key]))
+        descents = [(v, r) for v, m in missing for r in RIVALS if r.key == m]
+        for record in _by_replay(trial, task, scenes, descents):
+            folder.write(record)
+
+
+def _by_ours(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
+    started = time.process_time()
+    estimate = ours_rival.ours(_reduced(scene, variant), trial.model)
+    seconds = time.process_time() - started
+    return _record(
+        trial,
+        task,
+        variant,
+        OURS,
+        estimate.sfm_per_metre,
+        iterations=len(estimate.history.step),
+        renders=estimate.renders,
+        seconds=seconds,
+        half_width_pct=_half_width_pct(estimate),
+        status=estimate.status,
+    )
+
+
+def _by_run(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
+    """The paper's Adam, rendering at every step."""
+    config = ScaleConfig(solver="adam", init=trial.start)
+    started = time.process_time()
+    estimate = estimate_scale(_reduced(scene, variant), trial.model, config)
+    seconds = time.process_time() - started
+    return _record(
+        trial,
+        task,
+        variant,
+        RUN,
+        estimate.sfm_per_metre,
+        iterations=_iterations(estimate.history.sfm_per_metre),
+        renders=estimate.renders,
+        seconds=seconds,
+    )
+
+
+def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Sequence[tuple[Variant, Rival]]) -> Iterator[Record]:
+    """Descents of rows that share their cameras, on curves rendered once."""
+    if not descents:
+        return
+    # A rig's length alone may differ between these rows; the curves are over the true length's scale.
+    first = scenes[descents[0][0].key]
+    rig, factor = first.rig, descents[0][0].length_factor
+    rig = replace(rig, rgb_from_thermal=rig.rgb_from_thermal.with_baseline_scaled(1.0 / factor))
+    scene = replace(first, capture=replace(first.capture, rig=rig))
+    frames = scene.train_frames
+    pictures = Objective(
+        scene,
+        trial.model.gaussians,
+        trial.model.background,
+        trial.model.settings,
+        frames,
+        level_weights=PAPER.level_weights,
+        epsilon=PAPER_EPSILON,
+    )
+    flow = flow_per_unit(scene, trial.model.gaussians, trial.model.settings)
+    spacing = min(NODE_SPACING_PX / float(np.percentile(flow, 90)), 0.05 * trial.truth)
+    thermal = {v.key: _normalised(scenes[v.key]) for v, _ in descents}
+    mask = scene.capture.thermal_mask
+    losses = {f"{v.key}.{r.key}": [r.loss(image, mask) for image in thermal[v.key]] for v, r in descents}
+    curves = Curves(pictures, losses, spacing)
+    for variant, rival in descents:
+        chosen = None if variant.frames is None else [frames.index(f) for f in _chosen(scene, variant)]
+        key, factor = f"{variant.key}.{rival.key}", variant.length_factor
+        theta, history = replay(curves, key, math.log(trial.start * factor), PAPER, chosen)
+        renders = PAPER.steps * (len(frames) if chosen is None else len(chosen))
+        yield _record(
+            trial,
+            task,
+            variant,
+            rival.key,
+            math.exp(theta) / factor,
+            iterations=_iterations(history.sfm_per_metre),
+            renders=renders,
+            seconds=renders * curves.seconds_each(key),
+        )
+
+
+def _record(trial: Trial, task: Task, variant: Variant, method: str, found: float, **more: object) -> Record:
+    def error(factor: float) -> float:
+        return 100 * abs(found * factor / trial.truth - 1)
+
+    values = {"error_pct": error(1.0), "product_error_pct": error(variant.length_factor), **more}
+    return Record(task.scene, task.seed, variant.key, method, trial.truth, trial.start, found, **values)  # type: ignore[arg-type]
+
+
+def _chosen(scene: Scene, variant: Variant) -> list[Frame]:
+    """The training frames of a row, evenly spaced."""
+    train = scene.train_frames
+    count = len(train) if variant.frames is None else min(variant.frames, len(train))
+    return [train[i] for i in np.unique(np.linspace(0, len(train) - 1, count).round().astype(int))]
+
+
+def _reduced(scene: Scene, variant: Variant) -> Scene:
+    """The scene with the training frames of a row alone."""
+    return replace(scene, world_from_rgb={f.name: scene.world_from_rgb[f.name] for f in _chosen(scene, variant)})
+
+
+def _normalised(scene: Scene) -> list[NDArray[np.float32]]:
+    """Thermal images of the training frames in [0, 1], over their common range."""
+    images = [f.thermal for f in scene.train_frames]
+    lo, hi = thermal_range([image[scene.capture.thermal_mask] for image in images], 0.0)
+    return [((image - lo) / (hi - lo)).astype(np.float32) for image in images]
+
+
+def _iterations(path: Sequence[float]) -> int:
+    """Steps until s stays close to the last one."""
+    away = np.flatnonzero(np.abs(np.array(path) / path[-1] - 1) > SETTLED_SHARE)
+    return int(away[-1]) + 1 if len(away) else 0
+
+
+def _half_width_pct(estimate: ScaleEstimate) -> float | None:
+    if estimate.ci95 is None or not all(0 < end < math.inf for end in estimate.ci95):
+        return None
+    return 50 * math.log(estimate.ci95[1] / estimate.ci95[0])
