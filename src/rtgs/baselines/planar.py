@@ -12,7 +12,7 @@ from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
 from rtgs.scene import Rig, Scene
 
-LEAST_SHARE = 0.1  # of the thermal image that has to come back: every row is scored there, and less is a scrap
+LEAST_SHARE = 0.5  # of the thermal image that has to come back: every row is scored there, and half an image is no capture
 
 
 def homography(rig: Rig, plane_m: float) -> NDArray[np.float64]:
@@ -55,7 +55,7 @@ class PlanarScene:
 
     @staticmethod
     def of(scene: Scene, plane_m: float) -> PlanarScene:
-        """Raises `RtgsError` where the plane brings less than a tenth of the thermal image into the RGB view."""
+        """Raises `RtgsError` where the plane brings less than half of the thermal image into the RGB view."""
         rig, capture = scene.rig, scene.capture
         there = homography(rig, plane_m)
         back = np.asarray(np.linalg.inv(there), np.float64)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs import __version__
 from rtgs.baselines.manual import manual_scale
 from rtgs.baselines.metric_depth import ABSENT as DEPTH_ABSENT
 from rtgs.baselines.metric_depth import load_depth_model, scale_from_depth
@@ -64,6 +65,9 @@ def compare(
     """The same for what is in memory; `bench_real` has the details."""
     config.check()
     _check_names(config, scene.capture)
+    held_out = [f.name for f in scene.held_out_frames]
+    if config.region_frame is not None and config.region_frame not in held_out:
+        raise RtgsError(f"--region-frame {config.region_frame}: is no held-out frame; they are {', '.join(held_out)}.")
     if not scene.held_out_frames or not scene.train_frames:
         raise RtgsError("bench real: training frames and held-out frames are needed, and one kind has no registered frame.")
     common = _fingerprint(scene, rgb_model, config)
@@ -191,7 +195,7 @@ def _fingerprint(scene: Scene, rgb_model: RgbModel, config: BenchRealConfig) -> 
     digest.update(scene.capture.thermal_mask.tobytes() + scene.capture.rgb_mask.tobytes())
     rig = scene.rig
     digest.update(repr((rig.rgb, rig.thermal, rig.rgb_from_thermal.matrix().tolist(), rgb_model.settings)).encode())
-    digest.update(repr([f.name for f in scene.held_out_frames] + [to_json(config.thermal)]).encode())
+    digest.update(repr((__version__, [f.name for f in scene.held_out_frames], to_json(config.thermal))).encode())
     return digest.hexdigest()
 
 
