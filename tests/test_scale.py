@@ -695,7 +695,7 @@ def test_an_epsilon_of_the_size_of_edges_rewards_larger_edges() -> None:
     assert pictures.renders == 6
     off = []
     for epsilon in (pictures.render_epsilon, pictures.epsilon):
-        loss = replace(pictures, render_epsilon=epsilon).objective(scene.train_frames)
+        loss = replace(pictures, render_epsilon=epsilon).objective()
         curves = np.array([[loss.loss(i, t) for t in thetas] for i in range(len(loss.frames))])
         off.append(abs(curve_minimum(thetas, curves.mean(axis=0))))
     assert off[0] < 0.01 and off[1] > 0.02

@@ -77,7 +77,7 @@ def _by_adam(
     counter.plan((config.scan_samples if init is None else 0) * len(frames) + config.steps * batch + 6 * len(frames))
     if init is None:
         thetas = np.linspace(math.log(limits[0]), math.log(limits[1]), config.scan_samples)
-        curves = curves_of(objective, thetas, counter)
+        curves = curves_of(objective, range(len(frames)), thetas, counter)
         scan = Scan.of(thetas, curves, names)
         best = int(np.argmin(curves.mean(axis=0)))
         init = float(np.exp(thetas[best]))
@@ -87,7 +87,8 @@ def _by_adam(
     theta, history = adam(objective, math.log(init), config, counter)
     reason = reason or _outside(theta, limits)
     local = LocalCurves(objective, counter)
-    closed = widened(local, range(len(frames)), theta, 2 * limits[0] / math.exp(theta), config.seed)
+    pixel = 2 * limits[0] / math.exp(theta)
+    closed = widened(local, range(len(frames)), theta, pixel, pixel, config.seed)
     found = _Found(theta, init, scan, history, [], [], objective.renders)
     return _result(scene, config, frames, limits, objective, local, found, reason, closed)
 
@@ -101,11 +102,11 @@ def _globally(
     pictures = Pictures.of(scene, model, frames, config.level_weights, config.epsilon, counter)
     worth = information(scene, model.gaussians, model.settings, frames)
     ranked = sorted(range(len(frames)), key=lambda i: -worth[i])
-    search = Search(pictures, [frames[i] for i in ranked], 0.5 / limits[0], counter)
+    search = Search(pictures, ranked, 0.5 / limits[0], counter)
     scan, doubt, starts = None, "", [start]
     if config.init is None:
         thetas, curves = search.scan(limits)
-        scan = Scan.of(thetas, curves, [f.name for f in search.scan_frames])
+        scan = Scan.of(thetas, curves, [frames[i].name for i in search.scanned])
         candidates = local_minima(curves)
         if candidates[0] == len(thetas) - 1:
             doubt = f"the loss is lowest at an end of the scan: the scale lies above {_what_can_be_told(limits)}"
@@ -115,22 +116,22 @@ def _globally(
     best = minima[0].place
     doubt = doubt or _outside(best.theta, limits)
 
-    objective = pictures.objective(frames)
+    objective = pictures.objective()
     local = LocalCurves(objective, counter)
     pixel = 2 * limits[0] / math.exp(best.theta)
     half_width, count = window(best.slopes, best.curvature, pixel), _FIRST_FRAMES
     while True:
-        closed = widened(local, ranked[:count], best.theta, half_width, config.seed)
-        theta = local.minimum()
+        closed = widened(local, ranked[:count], best.theta, half_width, pixel, config.seed)
         if count >= len(frames) or not closed or doubt:
             break
-        if 1.96 * interval(*local.dense(), theta, 0.0, config.seed)[0] <= config.half_width:
+        if 1.96 * interval(*local.dense(), local.minimum(), 0.0, config.seed)[0] <= config.half_width:
             break
         count *= 2
+    theta = local.settled(half_width) if closed else local.minimum()
     used = [frames[i] for i in local.frames]
-    doubt = doubt or _no_better_than_none(objective, local.frames, theta, limits, counter)
-    disagreeing = [] if doubt or not closed else search.disagreeing(theta, used)
-    renders = search.renders + objective.renders + pictures.renders
+    doubt = doubt or _no_better_than_none(pictures.objective(min(1, search.halved)), local.frames, theta, limits, counter)
+    disagreeing = [] if doubt or not closed else search.disagreeing(theta, local.frames)
+    renders = pictures.renders_in_all()
     rivals = _rivals(minima, config.seed)
     found = _Found(theta, math.exp(minima[0].start), scan, search.history, rivals, disagreeing, renders)
     return _result(scene, config, used, limits, objective, local, found, doubt, closed)

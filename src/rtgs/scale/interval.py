@@ -14,7 +14,6 @@ from rtgs.scale.records import Counter
 
 _RESAMPLES = 1000
 _GRID = 257
-_NODES = (-1.0, -0.35, 0.35, 1.0)  # in window half-widths
 _MOST_DOUBLINGS = 6
 _MOST_SETTLINGS = 4
 
@@ -55,6 +54,15 @@ class LocalCurves:
         grid, curves = self.dense()
         return curve_minimum(grid, curves.mean(axis=0))
 
+    def settled(self, half_width: float) -> float:
+        """The same with the loss itself evaluated there: between far-apart nodes a cubic may dip where the loss does not."""
+        for _ in range(_MOST_SETTLINGS):
+            best = self.minimum()
+            if min(abs(best - theta) for theta in self.thetas) < 0.1 * half_width:
+                break
+            self.extend(thetas=[best])
+        return self.minimum()
+
 
 def hermite(
     thetas: NDArray[np.float64], values: NDArray[np.float64], slopes: NDArray[np.float64], at: NDArray[np.float64]
@@ -78,18 +86,23 @@ def window(slopes: NDArray[np.float64], curvature: float, pixel: float) -> float
     return float(np.clip(5 * error, 0.1 * pixel, 3 * pixel))
 
 
-def nodes(theta: float, half_width: float) -> list[float]:
-    return [theta + half_width * node for node in _NODES]
+def nodes(theta: float, half_width: float, pixel: float) -> list[float]:
+    """Scales over the window, no further apart than half a pixel of flow: so far a curve is much like a cubic."""
+    count = max(2, math.ceil(4 * half_width / pixel) + 1)
+    return np.linspace(theta - half_width, theta + half_width, count).tolist()
 
 
-def widened(curves: LocalCurves, frames: Sequence[int], theta: float, half_width: float, seed: int) -> bool:
-    """Extend the curves until the resampled minima lie inside, and settle their minimum.
+def widened(curves: LocalCurves, frames: Sequence[int], theta: float, half_width: float, pixel: float, seed: int) -> bool:
+    """Extend the curves until the resampled minima lie inside.
+
+    Args:
+        theta, half_width: the first window, which doubles. pixel: change of θ that moves the picture by a pixel.
 
     Returns:
         Whether they do; else the loss is flat as far as was looked.
     """
     block = block_length(len(frames))
-    thetas = nodes(theta, half_width)
+    thetas = nodes(theta, half_width, pixel)
     for doubling in range(_MOST_DOUBLINGS):
         curves.extend(frames, thetas)
         grid, dense = curves.dense()
@@ -97,20 +110,10 @@ def widened(curves: LocalCurves, frames: Sequence[int], theta: float, half_width
         inside = np.mean((minima > grid[0]) & (minima < grid[-1]))
         best = curve_minimum(grid, dense.mean(axis=0))
         if inside > 0.99 and grid[0] < best < grid[-1]:
-            _settle(curves, half_width)
             return True
         reach = half_width * 2 ** (doubling + 1)
         thetas = [theta - reach, theta + reach]
     return False
-
-
-def _settle(curves: LocalCurves, half_width: float) -> None:
-    """Evaluate the loss itself at the curve's minimum: between far-apart nodes a cubic may dip where the loss does not."""
-    for _ in range(_MOST_SETTLINGS):
-        best = curves.minimum()
-        if min(abs(best - theta) for theta in curves.thetas) < 0.02 * half_width:
-            break
-        curves.extend(thetas=[best])
 
 
 def block_length(frames: int) -> int:

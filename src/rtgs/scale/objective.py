@@ -76,19 +76,29 @@ class Objective:
         else:
             images = [thermal[f.name] for f in frames]
         # A target in float64 keeps 1 − ‖n‖² exact for the fused kernels; the torch path computes in the model's own type.
-        fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
-        self._pyramids = []
-        for image in images:
-            target = torch.from_numpy(image).to(torch.float64 if fused else self._dtype)
-            pyramid = NgfPyramid.of(
-                downsample(target, reduction),
-                downsample_mask(mask, reduction),
-                level_weights=level_weights,
-                epsilon=epsilon,
-                render_epsilon=render_epsilon,
+        self._is_fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
+        self._level_weights, self._epsilons = level_weights, (epsilon, render_epsilon)
+        self._images, self._mask = images, downsample_mask(mask, reduction)
+        self._pyramids: dict[int, NgfPyramid] = {}
+        self._fused: dict[int, FusedNgf] = {}
+
+    def _pyramid(self, index: int) -> NgfPyramid:
+        """The frame's target, prepared when it is first asked for: a search looks at many frames in one size only."""
+        if index not in self._pyramids:
+            target = torch.from_numpy(self._images[index]).to(torch.float64 if self._is_fused else self._dtype)
+            self._pyramids[index] = NgfPyramid.of(
+                downsample(target, self._reduction),
+                self._mask,
+                level_weights=self._level_weights,
+                epsilon=self._epsilons[0],
+                render_epsilon=self._epsilons[1],
             )
-            self._pyramids.append(pyramid)
-        self._fused = [FusedNgf.of(pyramid) for pyramid in self._pyramids] if fused else None
+        return self._pyramids[index]
+
+    def _fused_ngf(self, index: int) -> FusedNgf:
+        if index not in self._fused:
+            self._fused[index] = FusedNgf.of(self._pyramid(index))
+        return self._fused[index]
 
     def gray(self, index: int, theta: Tensor) -> Tensor:
         """Î_i^gray(s) `[h, w]` (Eqs. 1–3), differentiable in θ (a float64 scalar)."""
@@ -100,7 +110,7 @@ class Objective:
         """Eq. 7 for one frame."""
         with torch.no_grad():
             gray = self.gray(index, torch.tensor(theta, dtype=torch.float64))
-            return self._fused[index].loss(gray.numpy()) if self._fused else float(self._pyramids[index](gray))
+            return self._fused_ngf(index).loss(gray.numpy()) if self._is_fused else float(self._pyramid(index)(gray))
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
         """Eq. 7 for one frame and its derivative by θ: in forward mode where the back end has it."""
@@ -112,7 +122,7 @@ class Objective:
     def loss_and_slope_in_reverse(self, index: int, theta: float) -> tuple[float, float]:
         """The same two numbers through autograd, the renderer and the pose."""
         t = torch.tensor(theta, dtype=torch.float64, requires_grad=True)
-        loss = self._pyramids[index].to(self._dtype)(self.gray(index, t))
+        loss = self._pyramid(index).to(self._dtype)(self.gray(index, t))
         if not loss.requires_grad:
             return loss.item(), 0.0
         loss.backward()
@@ -125,11 +135,11 @@ class Objective:
             RtgsError: the "cuda" back end, which has no forward mode.
         """
         gray, rates = self._along(index, theta, [self._scale_direction(theta)])
-        if self._fused:
-            products = self._fused[index].products(gray.numpy(), rates.numpy())
+        if self._is_fused:
+            products = self._fused_ngf(index).products(gray.numpy(), rates.numpy())
             return Evaluation(products.loss, float(products.slope[0]), float(products.curvature[0, 0]))
-        loss, slope = along(self._pyramids[index], gray, rates[0])
-        _, change = along(self._pyramids[index].residuals, gray, rates[0])
+        loss, slope = along(self._pyramid(index), gray, rates[0])
+        _, change = along(self._pyramid(index).residuals, gray, rates[0])
         return Evaluation(float(loss), float(slope), 2.0 * float(change @ change))
 
     def picture(self, index: int, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -153,22 +163,14 @@ class Objective:
             lens = {k: (getattr(ends[1].rig.thermal, k) - getattr(ends[0].rig.thermal, k)) / (2 * step) for k in ("fl_x", "fl_y")}
             ways.append(replace(Direction.between(derivative, pose), **lens))
         gray, rates = self._along(index, theta, ways)
-        if self._fused:
-            return self._fused[index].products(gray.numpy(), np.ascontiguousarray(rates.numpy())).curvature
-        jacobian = torch.stack([along(self._pyramids[index].residuals, gray, rate)[1] for rate in rates])
+        if self._is_fused:
+            return self._fused_ngf(index).products(gray.numpy(), np.ascontiguousarray(rates.numpy())).curvature
+        jacobian = torch.stack([along(self._pyramid(index).residuals, gray, rate)[1] for rate in rates])
         return (2.0 * jacobian @ jacobian.T).numpy()
 
-    def loss_from(self, index: int, camera: Camera, camera_from_world: SE3) -> float:
-        """Eq. 7 for one frame, its thermal camera (at full size) being this one and standing there."""
-        self.renders += 1
-        camera = reduced(camera, self._reduction)
-        with torch.no_grad():
-            view = render(self._gaussians, camera, camera_from_world.to_torch(torch.float64), settings=self._settings)
-            gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
-            return self._fused[index].loss(gray.numpy()) if self._fused else float(self._pyramids[index](gray))
-
     def products_from(self, index: int, camera: Camera, camera_from_world: SE3, ways: Sequence[Direction]) -> Products:
-        """The same, with its derivatives along ways for that camera to change, and their Gauss–Newton matrix.
+        """Eq. 7 for one frame, its thermal camera (at full size) being this one and standing there; derivatives along ways for it to
+        change, and their Gauss–Newton matrix.
 
         Raises:
             RtgsError: no way or more than eight; the "cuda" back end, which has no forward mode.
@@ -181,9 +183,9 @@ class Objective:
         view, tangents = render_with_tangents(self._gaussians, camera, pose, small, settings=self._settings)
         gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
         rates = tangents.over(self._background[None])[..., 0]
-        if self._fused:
-            return self._fused[index].products(gray.numpy(), np.ascontiguousarray(rates.numpy()))
-        pyramid = self._pyramids[index]
+        if self._is_fused:
+            return self._fused_ngf(index).products(gray.numpy(), np.ascontiguousarray(rates.numpy()))
+        pyramid = self._pyramid(index)
         derivatives = [along(pyramid, gray, rate) for rate in rates]
         jacobian = torch.stack([along(pyramid.residuals, gray, rate)[1] for rate in rates])
         slope = np.array([float(d[1]) for d in derivatives])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ _REFINE_FRAMES = 16
 EPSILON_FRAMES = 6
 _RATIO = 0.25  # of neighbouring scales in the scan, where the flow is small
 _MOST_MINIMA = 3
-_AROUND = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)  # coarse pixels of flow from the answer
+_AROUND = (-4.0, -2.0, 0.0, 2.0, 4.0)  # coarse pixels of flow from the answer
 UNLIKELY = 3.0  # standard errors
 
 
@@ -32,17 +32,19 @@ class Pictures:
     """Thermal images in [0, 1] with the ε that suits them, from which objectives of any size are made.
 
     Attributes:
-        thermal: frame name → `[h, w]`.
+        frames: training frames. thermal: frame name → `[h, w]`.
         epsilon, render_epsilon: one a level; fixed numbers make every level alike.
     """
 
     scene: Scene
     model: RgbModel
+    frames: tuple[Frame, ...]
     thermal: dict[str, NDArray[np.float32]]
     level_weights: tuple[float, ...]
     epsilon: tuple[float, ...]
     render_epsilon: tuple[float, ...]
     renders: int = 0
+    objectives: dict[int, Objective] = field(init=False, default_factory=dict)
 
     @staticmethod
     def of(
@@ -65,7 +67,7 @@ class Pictures:
         thermal = {f.name: image for f, image in zip(frames, scaled, strict=True)}
         levels = len(level_weights) + halvings(scene)
         if epsilon is not None:
-            return Pictures(scene, model, thermal, level_weights, (epsilon,) * levels, (epsilon,) * levels)
+            return Pictures(scene, model, tuple(frames), thermal, level_weights, (epsilon,) * levels, (epsilon,) * levels)
         own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels)
         drawn = frames[:: -(-len(frames) // EPSILON_FRAMES)]
         errors = []
@@ -73,10 +75,20 @@ class Pictures:
             errors.append(model_error(scene, model, frame))
             counter("noise")
         everywhere = np.ones(errors[0].shape, dtype=bool)
-        return Pictures(scene, model, thermal, level_weights, own, mean_gradients(errors, everywhere, levels), len(drawn))
+        return Pictures(
+            scene, model, tuple(frames), thermal, level_weights, own, mean_gradients(errors, everywhere, levels), len(drawn)
+        )
 
-    def objective(self, frames: Sequence[Frame], halved: int = 0) -> Objective:
-        """Eq. 7 on pictures halved so many times: with the level weights at full size, on two equal levels below."""
+    def objective(self, halved: int = 0) -> Objective:
+        """Eq. 7 on pictures halved so many times: with the level weights at full size, on two equal levels below. Made once."""
+        if halved not in self.objectives:
+            self.objectives[halved] = self._objective(halved)
+        return self.objectives[halved]
+
+    def renders_in_all(self) -> int:
+        return self.renders + sum(objective.renders for objective in self.objectives.values())
+
+    def _objective(self, halved: int) -> Objective:
         weights = self.level_weights if halved == 0 else (1.0, 1.0)
         levels = slice(halved, halved + len(weights))
         return Objective(
@@ -84,7 +96,7 @@ class Pictures:
             self.model.gaussians,
             self.model.background,
             self.model.settings,
-            frames,
+            self.frames,
             level_weights=weights,
             epsilon=self.epsilon[levels],
             render_epsilon=self.render_epsilon[levels],
@@ -111,12 +123,14 @@ def scan_thetas(limits: tuple[float, float], coarse_pixel: int) -> NDArray[np.fl
     return np.log(np.array(flows) * 2 * limits[0])
 
 
-def curves_of(objective: Objective, thetas: NDArray[np.float64], counter: Counter, text: str = "scan") -> NDArray[np.float64]:
-    """Per-frame losses `[F, S]`."""
-    curves = np.empty((len(objective.frames), len(thetas)))
+def curves_of(
+    objective: Objective, indices: Sequence[int], thetas: NDArray[np.float64], counter: Counter, text: str = "scan"
+) -> NDArray[np.float64]:
+    """Losses `[F, S]` of some frames."""
+    curves = np.empty((len(indices), len(thetas)))
     for j, theta in enumerate(thetas):
-        for i in range(len(objective.frames)):
-            curves[i, j] = objective.loss(i, float(theta))
+        for i, index in enumerate(indices):
+            curves[i, j] = objective.loss(index, float(theta))
             counter(f"{text}, s = {math.exp(theta):.4g}")
     return curves
 
@@ -166,47 +180,43 @@ class Search:
     """Scan at a coarse size, then Gauss–Newton from its minima through ever finer pictures.
 
     Args:
-        frames: most informative first.
+        ranked: indices of the pictures' frames, most informative first.
         pixel_at_one: pixels of flow (its 90th percentile) at s = 1.
     """
 
-    def __init__(self, pictures: Pictures, frames: Sequence[Frame], pixel_at_one: float, counter: Counter) -> None:
+    def __init__(self, pictures: Pictures, ranked: Sequence[int], pixel_at_one: float, counter: Counter) -> None:
         self._pictures, self._counter, self._pixel_at_one = pictures, counter, pixel_at_one
         self.halved = halvings(pictures.scene)
-        self.scan_frames = sorted(frames[:_SCAN_FRAMES], key=lambda f: f.name)
-        self._refined = sorted(frames[:_REFINE_FRAMES], key=lambda f: f.name)
-        self.renders = 0
+        self.scanned, self._refined = sorted(ranked[:_SCAN_FRAMES]), sorted(ranked[:_REFINE_FRAMES])
         self.history = History([], [], [], [])
 
     def scan(self, limits: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """ln s `[S]` and per-frame losses `[F, S]`."""
+        """ln s `[S]` and losses `[F, S]` of the frames `scanned`."""
         thetas = scan_thetas(limits, 2**self.halved)
-        objective = self._pictures.objective(self.scan_frames, self.halved)
-        self._counter.plan(len(thetas) * len(self.scan_frames) + self.refine_renders() + 6 * len(self._refined))
-        curves = curves_of(objective, thetas, self._counter)
-        self.renders += objective.renders
-        return thetas, curves
+        self._counter.plan(len(thetas) * len(self.scanned) + self.refine_renders() + 6 * len(self._refined))
+        return thetas, curves_of(self._pictures.objective(self.halved), self.scanned, thetas, self._counter)
 
     def refine_renders(self) -> int:
         """About how many pictures `refine` draws from one start."""
         return 5 * len(self._refined) * (self.halved + 1)
 
-    def disagreeing(self, theta: float, frames: Sequence[Frame]) -> list[str]:
+    def disagreeing(self, theta: float, indices: Sequence[int]) -> list[str]:
         """Frames that place their minimum elsewhere: two coarse pixels of flow or more away, and clearly.
 
         "Clearly" is measured by how deep the frames' curves are about the answer: a frame's own minimum lies below its loss at the
         answer by a quarter of the median frame's depth.
         """
-        objective = self._pictures.objective(frames, self.halved)
         flow = self._pixel_at_one * math.exp(theta) / 2**self.halved  # of the answer, in coarse pixels
         steps = np.array([step for step in _AROUND if flow + step > 0])
-        self._counter.plan(len(steps) * len(frames))
-        curves = curves_of(objective, theta + np.log1p(steps / flow), self._counter, "frames")
-        self.renders += objective.renders
+        self._counter.plan(len(steps) * len(indices))
+        curves = curves_of(
+            self._pictures.objective(self.halved), indices, theta + np.log1p(steps / flow), self._counter, "frames"
+        )
         here = curves[:, np.flatnonzero(steps == 0)[0]]
         depth = float(np.median(np.median(curves, axis=1) - here))
         far = (np.abs(steps[curves.argmin(axis=1)]) >= 2) & (here - curves.min(axis=1) > 0.25 * depth)
-        return [f.name for f, apart in zip(frames, far, strict=True) if apart] if depth > 0 else []
+        names = [self._pictures.frames[i].name for i, apart in zip(indices, far, strict=True) if apart]
+        return names if depth > 0 else []
 
     def refine(self, starts: Sequence[float]) -> list[Refined]:
         """Down from the scan's minima, coarse to fine; best first.
@@ -216,9 +226,7 @@ class Search:
         behind: list[Refined] = []
         running = [(start, start) for start in starts]
         for halved in range(self.halved, -1, -1):
-            objective = self._pictures.objective(self._refined, halved)
-            places = [(start, self._descend(objective, theta, halved)) for start, theta in running]
-            self.renders += objective.renders
+            places = [(start, self._descend(theta, halved)) for start, theta in running]
             places.sort(key=lambda p: p[1].loss)
             best = places[0][1]
             kept: list[Refined] = []
@@ -230,11 +238,11 @@ class Search:
             running = [(r.start, r.place.theta) for r in kept]
         return [*kept, *sorted(behind, key=lambda r: float(r.above.mean()))]
 
-    def _descend(self, objective: Objective, theta: float, halved: int) -> Place:
+    def _descend(self, theta: float, halved: int) -> Place:
         pixel = min(self._pixel(theta, halved), 0.5)
         tolerance = (0.05 if halved else 0.01) * pixel
-        indices = range(len(self._refined))
-        return descend(objective, indices, theta, pixel=pixel, tolerance=tolerance, counter=self._counter, history=self.history)
+        objective, counter, history = self._pictures.objective(halved), self._counter, self.history
+        return descend(objective, self._refined, theta, pixel=pixel, tolerance=tolerance, counter=counter, history=history)
 
     def _pixel(self, theta: float, halved: int) -> float:
         """Change of θ that moves the picture of this size by a pixel."""
