@@ -21,6 +21,7 @@ from rtgs.config import ScaleConfig
 from rtgs.scale import History, Objective, adam
 
 _SETTLED = 5e-5  # in θ: the answer no longer depends on the nodes
+_SETTLED_SHARE = 0.01  # of the way of the watched steps, for runs that are still under way when they end
 _MOST_HALVINGS = 4
 _WATCHED_STEPS = 60  # of the run's end: where nodes are halved
 
@@ -115,8 +116,9 @@ def replay(
     before = math.inf
     for _ in range(_MOST_HALVINGS + 1):
         found, history = adam(_Mean(curves, key, frames), theta, config)
-        if abs(found - before) < _SETTLED:
+        watched = [*(math.log(s) for s in history.sfm_per_metre[-_WATCHED_STEPS:]), found]
+        if abs(found - before) < max(_SETTLED, _SETTLED_SHARE * abs(found - watched[0])):
             break
         before = found
-        curves.halve([math.log(s) for s in history.sfm_per_metre[-_WATCHED_STEPS:]] + [found])
+        curves.halve(watched)
     return found, history
