@@ -44,10 +44,7 @@ _ABOUT_BENCH = "The tables: this method and its rivals, on scenes whose truth is
 _SYNTH = SynthConfig()
 _BENCH_SYNTHETIC = BenchSyntheticConfig()
 DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
-DEMO_RUN = RunConfig(
-    rgb=RgbConfig(steps=1500),
-    scale=ScaleConfig(batch=12),
-)
+DEMO_RUN = RunConfig(rgb=RgbConfig(steps=1500))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -130,10 +130,10 @@ _PRESETS: dict[Quality, _Preset] = {
 
 @dataclass(frozen=True)
 class ScaleConfig:
-    """How the scale is found: the paper's objective, by the paper's Adam or by a search over all scales."""
+    """How the scale is found: by a search over all scales, or by the paper's Adam."""
 
-    solver: Literal["global", "adam"] = "adam"
-    """"adam" is the paper's; "global" scans all scales the images can tell apart and refines by Gauss–Newton, in seconds."""
+    solver: Literal["global", "adam"] = "global"
+    """"global" scans all scales the images can tell apart and refines by Gauss–Newton, in seconds; "adam" is the paper's."""
     init: float | None = None
     """Start of `sfm_per_metre`; None: the minimum of a scan of the loss over all scales the images can tell apart."""
     steps: int = 200
