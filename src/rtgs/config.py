@@ -24,6 +24,8 @@ PAPER_LEVEL_WEIGHTS = (1.0, 0.5, 0.25)  # w_l = 0.5^l, level 0 the finest, as pr
 SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room"]
 SCENES: tuple[SceneName, ...] = get_args(SceneName)
 
+REFINABLE = ("rotation", "baseline-direction", "focal", "time-offset")
+
 Quality = Literal["fast", "default", "best"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 
@@ -152,12 +154,19 @@ class ScaleConfig:
     """Global: frames are added until half the 95 % interval is narrower than this, in ln s, or all are used."""
     max_frames: int = 64
     """Of more training frames than this, as many evenly spaced ones are used."""
+    refine: tuple[str, ...] = ()
+    """What of the calibration is refined with the scale: rotation, baseline-direction, focal, time-offset; each is held by its standard
+    deviation in rig.json, or a default (docs/scale.md)."""
     seed: int = 0
     """Order of mini-batches, and the bootstrap."""
 
     def __post_init__(self) -> None:
         if self.solver not in ("global", "adam"):
             raise RtgsError(f"scale.solver is {self.solver!r}; it is global or adam.")
+        names = {name for part in self.refine for name in part.split(",")} - {""}  # "a,b" is as good as "a b"
+        if unknown := sorted(names - set(REFINABLE)):
+            raise RtgsError(f"scale.refine names {unknown[0]!r}; there are {', '.join(REFINABLE)}.")
+        object.__setattr__(self, "refine", tuple(name for name in REFINABLE if name in names))
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,14 @@ def rotation_from_axis_angle(axis_angle_rad: ArrayLike) -> NDArray[np.float64]:
     return rotation_from_quat(np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * v / angle]))
 
 
+def axis_angle_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
+    """Rotation vector `[3]` in radians, of length up to π: the inverse of `rotation_from_axis_angle`."""
+    w, *xyz = quat_from_rotation(rotation)
+    axis = np.array(xyz)
+    length = float(np.linalg.norm(axis))
+    return 2.0 * axis if length < 1e-12 else 2.0 * np.arctan2(length, w) * axis / length
+
+
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> SE3:
     """`world_from_camera` (OpenCV axes) of a camera at `eye` that looks at `target`."""
     eye, target, up = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))

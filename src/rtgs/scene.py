@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.camera import Camera
-from rtgs.geometry import SE3
+from rtgs.geometry import SE3, axis_angle_from_rotation, rotation_from_axis_angle
 
 HELD_OUT_EVERY = 8  # frames 0, 8, 16, … in name order
 
@@ -44,12 +44,14 @@ class Rig:
         rgb, thermal: intrinsics.
         rgb_from_thermal: translation in metres.
         calibration_std: None when nobody says.
+        time_offset: how long after the RGB camera the thermal one fires, in intervals between frames.
     """
 
     rgb: Camera
     thermal: Camera
     rgb_from_thermal: SE3
     calibration_std: CalibrationStd | None = None
+    time_offset: float = 0.0
 
     @property
     def baseline_m(self) -> float:
@@ -157,9 +159,39 @@ class Scene:
     def rgb_from_world(self, name: str) -> SE3:
         return self.world_from_rgb[name].inverse()
 
+    @cached_property
+    def _order(self) -> dict[str, int]:
+        return {f.name: i for i, f in enumerate(self.capture.frames)}
+
+    def neighbours(self, name: str) -> tuple[SE3 | None, SE3 | None]:
+        """The RGB poses of the frames just before and after, in name order; None where there is none, or not registered."""
+        at, frames = self._order[name], self.capture.frames
+        before = self.world_from_rgb.get(frames[at - 1].name) if at > 0 else None
+        after = self.world_from_rgb.get(frames[at + 1].name) if at + 1 < len(frames) else None
+        return before, after
+
+    def world_from_rgb_at_thermal(self, name: str) -> SE3:
+        """Where the RGB camera stands when a frame's thermal picture is taken: `rig.time_offset` frame intervals later.
+
+        The position runs on the parabola through the neighbours, and so does the rotation vector from this frame's; at an end, or
+        beside a frame that was not registered, on a straight line. Where both neighbours are missing the camera is taken to stand.
+        """
+        pose, offset = self.world_from_rgb[name], self.rig.time_offset
+        if offset == 0.0:
+            return pose
+        before, after = self.neighbours(name)
+        forth = None if after is None else _motion(pose, after)
+        back = None if before is None else -_motion(pose, before)
+        if forth is None and back is None:
+            return pose
+        forth, back = back if forth is None else forth, forth if back is None else back
+        assert forth is not None and back is not None
+        turn, shift = np.split(offset * (forth + back) / 2 + offset**2 * (forth - back) / 2, 2)
+        return SE3(pose.rotation @ rotation_from_axis_angle(turn), pose.translation + shift)
+
     def world_from_thermal(self, name: str, sfm_per_metre: float) -> SE3:
-        """Eq. 1: `world_from_rgb ∘ (R, s·t)`."""
-        return self.world_from_rgb[name] @ self.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre)
+        """Eq. 1: `world_from_rgb ∘ (R, s·t)`, with the RGB camera where it stands when the thermal one fires."""
+        return self.world_from_rgb_at_thermal(name) @ self.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre)
 
     def thermal_from_world(self, name: str, sfm_per_metre: float) -> SE3:
         return self.world_from_thermal(name, sfm_per_metre).inverse()
@@ -169,3 +201,8 @@ class Scene:
         """Radius of the camera positions about their mean, × 1.1: the unit of 3DGS's position learning rate."""
         centres = np.stack([p.translation for p in self.world_from_rgb.values()])
         return float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()) * 1.1
+
+
+def _motion(here: SE3, there: SE3) -> NDArray[np.float64]:
+    """`[6]`: rotation vector in the camera's own frame, and shift in the world."""
+    return np.concatenate([axis_angle_from_rotation(here.rotation.T @ there.rotation), there.translation - here.translation])

@@ -166,16 +166,21 @@ class Pipeline:
         return {"rgb": seconds}
 
     def _scale(self) -> dict[str, float]:
+        self._scene = None  # the rig as calibrated
         scene, model = self.scene, self.folder.read_rgb()
         estimate, seconds = self._timed(
             "metric scale", lambda progress: estimate_scale(scene, model, self.config.scale, progress=progress)
         )
         self.folder.write_scale(estimate)
-        self.folder.write_scene(scene, estimate.sfm_per_metre)
+        self.folder.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
+        self._scene = None  # from here on with the rig as refined
         interval = f" (95 %: {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g})" if estimate.ci95 else ""
         self.reporter.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per metre{interval}, {estimate.status}")
         if estimate.reason:
             self.reporter.say(f"warning: {estimate.reason}")
+        for f in estimate.refinement.freedoms if estimate.refinement else []:
+            known = "" if f.decided else ", which the images do not decide"
+            self.reporter.say(f"  {f.name}: {f.mean:+.3g} ± {f.std:.2g} {f.unit} (calibration: ± {f.prior_std:.2g}){known}")
         return {"scale": seconds}
 
     def _thermal(self) -> dict[str, float]:

@@ -128,7 +128,10 @@ class RunFolder:
         shutil.rmtree(old, ignore_errors=True)
 
     def read_scene(self, capture: Capture) -> Scene:
-        return read_scene(self.path / "scene", capture)
+        """With the rig as refined, from the moment the scale stage has refined it: whoever reads a run's scene has the one its scale
+        belongs to. A scale stage that begins again removes `scale.json`, and so starts from the rig as calibrated."""
+        scene = read_scene(self.path / "scene", capture)
+        return self.read_scale().refined_scene(scene) if (self.path / "scale.json").exists() else scene
 
     def write_summary(self, scene: Scene) -> None:
         """`capture_summary.json`, for the report."""

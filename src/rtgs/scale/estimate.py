@@ -18,6 +18,7 @@ from rtgs.scale.calibration import calibration_std_log
 from rtgs.scale.interval import LocalCurves, interval, widened, window
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
+from rtgs.scale.refine import check_refinable, refine
 from rtgs.scale.search import EPSILON_FRAMES, UNLIKELY, Pictures, Refined, Search, curves_of, local_minima, significance
 from rtgs.scene import Frame, Scene
 
@@ -39,7 +40,8 @@ def estimate_scale(
         progress: called with (renders done, renders in all as far as is known, text).
 
     Raises:
-        RtgsError: nothing to compare (no training frame, no pixel covered), or an `init` that is no positive number.
+        RtgsError: nothing to compare (no training frame, no pixel covered), an `init` that is no positive number, or a refinement that
+            these frames do not allow.
     """
     config = config or ScaleConfig()
     if config.init is not None and not (config.init > 0 and math.isfinite(config.init)):
@@ -49,13 +51,15 @@ def estimate_scale(
     train = scene.train_frames
     if not train:
         raise RtgsError("scale: the scene has no training frame (every registered frame is held out).")
+    check_refinable(scene, config.refine)
     counter = Counter(progress)
     flow = flow_per_unit(scene, model.gaussians, model.settings)
     limits = bracket(flow, scene.rig.thermal.width)
     chosen = np.unique(np.linspace(0, len(train) - 1, min(config.max_frames, len(train))).round().astype(int))
     frames = [train[i] for i in chosen]
     solve = _by_adam if config.solver == "adam" else _globally
-    return solve(scene, model, config, frames, limits, counter)
+    estimate = solve(scene, model, config, frames, limits, counter)
+    return refine(scene, model, config, frames, estimate, counter, widest=_WIDEST) if config.refine else estimate
 
 
 def _by_adam(

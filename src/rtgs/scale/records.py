@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rtgs.geometry import SE3
+from rtgs.scene import Rig, Scene
 
 Status = Literal["ok", "ambiguous", "unobservable"]
 
@@ -70,6 +73,70 @@ class Minimum:
 
 
 @dataclass(frozen=True)
+class Freedom:
+    """One number of the calibration that was refined with the scale: what was expected of it, and what came out.
+
+    Attributes:
+        name: "rotation about x", ... unit: of mean (0 is what `rig.json` says), std and prior_std.
+        decided: whether the images knew more than the calibration; if not, mean and std are hardly more than the prior's.
+    """
+
+    name: str
+    unit: str
+    mean: float
+    std: float
+    prior_std: float
+    decided: bool
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The rig as refined, which later stages use in place of the one in `rig.json`.
+
+    Attributes:
+        before: `sfm_per_metre` with the rig as `rig.json` says.
+        freedoms: posterior of each. correlation: `[1 + K, 1 + K]` of ln s and the freedoms, in this order.
+        rgb_from_thermal: `[4, 4]`, metres. fl_x, fl_y: of the undistorted thermal images. time_offset: `Rig.time_offset`.
+    """
+
+    before: float
+    freedoms: list[Freedom]
+    correlation: list[list[float]]
+    rgb_from_thermal: list[list[float]]
+    fl_x: float
+    fl_y: float
+    time_offset: float
+
+    @staticmethod
+    def of(before: float, freedoms: list[Freedom], covariance: NDArray[np.float64], rig: Rig) -> Refinement:
+        std = np.sqrt(np.diag(covariance))
+        return Refinement(
+            before,
+            freedoms,
+            (covariance / np.outer(std, std)).tolist(),
+            rig.rgb_from_thermal.matrix().tolist(),
+            rig.thermal.fl_x,
+            rig.thermal.fl_y,
+            rig.time_offset,
+        )
+
+    @property
+    def undecided(self) -> list[str]:
+        return [f.name for f in self.freedoms if not f.decided]
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene with its rig as refined."""
+        thermal = replace(scene.rig.thermal, fl_x=self.fl_x, fl_y=self.fl_y)
+        pose = SE3.from_matrix(self.rgb_from_thermal)
+        rig = replace(scene.rig, thermal=thermal, rgb_from_thermal=pose, time_offset=self.time_offset)
+        return replace(scene, capture=replace(scene.capture, rig=rig))
+
+    @staticmethod
+    def from_json(data: dict[str, Any]) -> Refinement:
+        return Refinement(**{**data, "freedoms": [Freedom(**f) for f in data["freedoms"]]})
+
+
+@dataclass(frozen=True)
 class ScaleEstimate:
     """What `scale.json` holds.
 
@@ -86,6 +153,7 @@ class ScaleEstimate:
         disagreeing: frames that place their own minimum far from the answer.
         calibration_std_log: share of `std_log` that is the calibration's; None when `rig.json` does not state any.
         renders: how many pictures were drawn.
+        refinement: the calibration, where it was refined with the scale; `refined_scene` has it.
     """
 
     sfm_per_metre: float
@@ -105,10 +173,15 @@ class ScaleEstimate:
     disagreeing: list[str] = field(default_factory=list)
     calibration_std_log: float | None = None
     renders: int = 0
+    refinement: Refinement | None = None
 
     @property
     def metres_per_sfm(self) -> float:
         return 1.0 / self.sfm_per_metre
+
+    def refined_scene(self, scene: Scene) -> Scene:
+        """The scene whose rig belongs to this scale: as refined, or as it is where nothing was."""
+        return scene if self.refinement is None else self.refinement.apply(scene)
 
     def to_json(self) -> dict[str, Any]:
         return {**asdict(self), "metres_per_sfm": self.metres_per_sfm}
@@ -122,6 +195,7 @@ class ScaleEstimate:
         values["local"] = Scan(**data["local"])
         values["history"] = History(**data["history"])
         values["minima"] = [Minimum(**m) for m in data.get("minima", [])]
+        values["refinement"] = Refinement.from_json(data["refinement"]) if data.get("refinement") else None
         return ScaleEstimate(**values)
 
 
