@@ -269,3 +269,17 @@ def test_a_search_shows_its_minima_its_frames_and_the_curve_beside_the_answer(tm
     assert "other minimum: 7.125" in text and "7.125 (better in 12 % of resamples)" in text
     assert "frame_&lt;9&gt;" in text and "single frames" in text
     assert "scan and Gauss-Newton" in text and "Refinement by" not in text
+
+
+def test_what_was_refined_stands_in_a_table(tmp_path: Path) -> None:
+    run = fabricate(tmp_path / "run", renders=False)
+    freedoms = [
+        {"name": "thermal <focal>", "unit": "%", "mean": -1.25, "std": 0.3, "prior_std": 2.0, "decided": True},
+        {"name": "time offset", "unit": "frame intervals", "mean": 0.01, "std": 0.28, "prior_std": 0.2887, "decided": False},
+    ]
+    scale = json_files()["scale"] | {"refinement": {"before": 1.2345, "freedoms": freedoms}}
+    (run / "scale.json").write_text(json.dumps(scale))
+    page = page_of(run)
+    assert "thermal <focal> 0 ± 2 % −1.250 ± 0.300 % yes" in page.text  # escaped, and its cells in order
+    assert "time offset 0 ± 0.289 frame intervals +0.010 ± 0.280 frame intervals no, as calibrated" in page.text
+    assert "Without this the scale would be 1.2345" in page.text

@@ -213,7 +213,30 @@ def _scale(run: _Run) -> str:
     note = f"<p>{html.escape(str(reason))}</p>" if reason else ""
     second = _local_chart(scale) if scale.get("solver") == "global" else _history_chart(scale)
     charts = [c for c in (_scan_chart(scale), second) if c]
-    return _section("Scale", _facts(facts) + note + (f'<div class="pair">{"".join(charts)}</div>' if charts else ""))
+    pair = f'<div class="pair">{"".join(charts)}</div>' if charts else ""
+    return _section("Scale", _facts(facts) + note + pair + _refinement(scale.get("refinement") or {}))
+
+
+def _refinement(refinement: Mapping[str, Any]) -> str:
+    """What of the calibration was refined with the scale."""
+    freedoms = refinement.get("freedoms") or []
+    if not freedoms:
+        return ""
+    rows = ""
+    for f in freedoms:
+        mean, std, prior = (_number(f.get(k)) for k in ("mean", "std", "prior_std"))
+        unit = html.escape(str(f.get("unit", "")))
+        found = "–" if mean is None or std is None else f"{mean:+.3f} ± {std:.3f} {unit}".replace("-", "−")
+        expected = "–" if prior is None else f"0 ± {prior:.3g} {unit}"
+        known = "yes" if f.get("decided") else "no, as calibrated"
+        rows += f"<tr><th>{html.escape(str(f.get('name')))}</th><td>{expected}</td><td>{found}</td><td>{known}</td></tr>"
+    head = "<tr><td></td><th>calibration</th><th>found</th><th>decided by the images</th></tr>"
+    before = _number(refinement.get("before"))
+    note = "" if before is None else f" Without this the scale would be {before:.5g} SfM units per metre."
+    return (
+        "<p>The calibration was refined with the scale; every later stage uses the refined rig, and rig.json is as it was. Standard "
+        f'deviations stand behind ±.{note}</p><div class="wide"><table class="numbers"><thead>{head}</thead>{rows}</table></div>'
+    )
 
 
 def _overlays(run: _Run) -> str:
