@@ -411,7 +411,7 @@ def test_on_a_plane_at_its_distance_planar_is_as_good_as_ours(bench: Path) -> No
 
 def test_at_another_distance_it_is_not(plane: tuple[Scene, RgbModel], bench: Path, tmp_path: Path) -> None:
     compare(*plane, estimate(TRUTH), tmp_path, replace(CONFIG, plane_m=4.0), Quiet())
-    assert float(table(tmp_path)["planar"]["mae_c"]) > 3 * float(table(bench)["planar"]["mae_c"])
+    assert float(table(tmp_path)["planar"]["mae_c"]) > 2 * float(table(bench)["planar"]["mae_c"])
 
 
 def test_rows_that_cannot_run_say_why(bench: Path) -> None:

@@ -31,7 +31,10 @@ ARGUMENTS = {
     "demo": ["--out"],
     "bench": ["synthetic"],
 }
-BENCHES = {"synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--quality", "--workers"]}
+BENCHES = {
+    "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--quality", "--workers"],
+    "real": ["PATH", "--out", "--manual.frames", "--depth-model", "--mast3r-weights", "--plane-m", "--region", "--thermal.drift"],
+}
 
 
 def code_of(arguments: list[str]) -> int:
@@ -96,6 +99,7 @@ HEAVY = ("torch", "numpy", "numba", "cv2", "pycolmap", "scipy", "matplotlib")
         (["--version"], __version__),
         (["run", "--help"], "--rgb.steps"),
         (["bench", "synthetic", "--help"], "--scenes"),
+        (["bench", "real", "--help"], "--plane-m"),
         (["scale", "RUN", "--help"], "0.0123"),  # of the run's own settings
         (["thermal", "RUN", "--steps", "many"], ""),
     ],

@@ -19,6 +19,7 @@ from rich.progress import Progress as RichProgress
 
 from rtgs import __version__
 from rtgs.config import (
+    BenchRealConfig,
     BenchSyntheticConfig,
     RgbConfig,
     RunConfig,
@@ -43,6 +44,7 @@ _ABOUT = "From synchronised RGB and thermal photographs to one metric 3D Gaussia
 _ABOUT_BENCH = "The tables: this method and its rivals, on scenes whose truth is known and on captures."
 _SYNTH = SynthConfig()
 _BENCH_SYNTHETIC = BenchSyntheticConfig()
+_BENCH_REAL = BenchRealConfig()
 DEMO_CAPTURE = SynthConfig(scene="lego", frames=32, size=200, seed=3)
 DEMO_RUN = RunConfig(rgb=RgbConfig(steps=1500))
 
@@ -302,7 +304,23 @@ def _benches() -> dict[str, Callable[..., Any]]:
         for path in files:
             reporter.say(f"wrote {path}")
 
-    return {"synthetic": synthetic}
+    def real(source: Folder, out: Path, config: Annotated[BenchRealConfig, Flat] = _BENCH_REAL) -> None:
+        """What a scale does to temperatures: thermal models at scales found in several ways, scored on held-out views of one capture.
+
+        Rows that stand from an earlier call with the same inputs are not made again. A row that cannot run is listed with the reason.
+
+        Args:
+            source: a run folder, or a capture, which is run first (to OUT/run).
+            out: folder for the tables and pictures.
+            config: settings.
+        """
+        from rtgs.benchmarks.real import bench_real
+
+        reporter = Terminal()
+        for path in bench_real(source, out, config, reporter):
+            reporter.say(f"wrote {path}")
+
+    return {"synthetic": synthetic, "real": real}
 
 
 def _opened(run: Path, reporter: Terminal) -> Pipeline:

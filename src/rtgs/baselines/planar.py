@@ -70,8 +70,8 @@ class PlanarScene:
         share = valid.sum() / capture.thermal_mask.sum()
         if share < LEAST_SHARE:
             raise RtgsError(
-                f"a plane at {plane_m:g} m, {plane_m / rig.baseline_m:.3g} baselines away, brings {share:.0%} of the thermal image into "
-                "the RGB view"
+                f"has too little to be scored on: a plane at {plane_m:g} m (baselines away: {plane_m / rig.baseline_m:.3g}) brings only "
+                f"{share:.0%} of the thermal image into the RGB view; --plane-m puts it elsewhere"
             )
         own = Rig(rig.rgb, rig.rgb, SE3.identity())
         warped = replace(capture, raw_rig=own, rig=own, frames=tuple(frames), thermal_mask=mask)

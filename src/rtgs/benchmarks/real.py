@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from rtgs.benchmarks.real_table import Row, Scored, score, write_results
 from rtgs.config import BenchRealConfig, RunConfig, is_run, to_json
 from rtgs.errors import RtgsError
 from rtgs.fit_thermal import fit_thermal
+from rtgs.io.colmap import read_scene
 from rtgs.models import RgbModel
 from rtgs.pipeline import Pipeline, Reporter, RunFolder
 from rtgs.progress import Progress
@@ -55,14 +56,15 @@ def bench_real(source: Path, out: Path, config: BenchRealConfig, reporter: Repor
         pipeline = Pipeline.start(source, out / "run", RunConfig(), reporter)
     _check_names(config, pipeline.capture)
     pipeline.run("scale")
-    scene, folder = pipeline.scene, pipeline.folder
+    folder = pipeline.folder
+    scene = read_scene(folder.path / "scene", pipeline.capture)  # a refined rig is the estimate's alone, and none of the rivals'
     return compare(scene, folder.read_rgb(), folder.read_scale(), out, config, reporter)
 
 
 def compare(
     scene: Scene, rgb_model: RgbModel, estimate: ScaleEstimate, out: Path, config: BenchRealConfig, reporter: Reporter
 ) -> list[Path]:
-    """The same for what is in memory; `bench_real` has the details."""
+    """The same for what is in memory: the scene with its rig as calibrated. `bench_real` has the details."""
     config.check()
     _check_names(config, scene.capture)
     held_out = [f.name for f in scene.held_out_frames]
@@ -118,7 +120,7 @@ class Strategy:
 def strategies(scene: Scene, rgb_model: RgbModel, estimate: ScaleEstimate, config: BenchRealConfig) -> Sequence[Strategy]:
     """The rows in the paper's order."""
 
-    def at(find: Callable[[Progress], float]) -> Callable[[Progress], tuple[float, Images]]:
+    def at(find: Callable[[Progress], float], scene: Scene = scene) -> Callable[[Progress], tuple[float, Images]]:
         def work(progress: Progress) -> tuple[float, Images]:
             try:
                 sfm_per_metre = find(progress)
@@ -147,13 +149,14 @@ def strategies(scene: Scene, rgb_model: RgbModel, estimate: ScaleEstimate, confi
         return None, {name: warped.warped_back(image) for name, image in fitted.items()}
 
     found, manual = estimate.sfm_per_metre, config.manual
+    refined = None if estimate.refinement is None else asdict(estimate.refinement)
     return (
         Strategy("manual", "Manual", to_json(manual), at(lambda _: manual_scale(scene, manual))),
         Strategy("naive", "Naive", None, at(lambda _: 1.0)),
         Strategy("mast3r", "MASt3R", _files(config.mast3r_weights), at(mast3r)),
         Strategy("depth", "Metric depth", _files(config.depth_model), at(depth)),
         Strategy("planar", "Planar", config.plane_m, planar),
-        Strategy("ours", "Ours", found, at(lambda _: found)),
+        Strategy("ours", "Ours", (found, refined), at(lambda _: found, estimate.refined_scene(scene))),
     )
 
 
@@ -215,7 +218,7 @@ def _notes(scene: Scene, estimate: ScaleEstimate, config: BenchRealConfig, score
         f"frozen; every row by the thermal solver `{thermal.solver}`, drift `{thermal.drift}`, harmonics of degree {thermal.sh_degree}.",
         f"Scored on the {scored.share:.1%} of the thermal image where every row has pixels; PSNR, SSIM and LPIPS in the range "
         f"{scored.lo:.2f} to {scored.hi:.2f} {scored.unit} of the training images.",
-        f"Ours: solver `{estimate.solver}`, {estimate.status}{interval}.",
+        f"Ours: solver `{estimate.solver}`{', calibration refined' if estimate.refinement else ''}, {estimate.status}{interval}.",
     ]
     if scored.region_note:
         notes.append(scored.region_note)

@@ -189,7 +189,7 @@ def write_results(
         table.append([row.key, scale, *(f"{values[n]:.6g}" if n in values else "" for n in names), row.why])
         cells = [shown(n, values[n]) if n in values else "–" for n in names]
         lines.append(f"| {row.title} | {scale or '–'} | " + " | ".join(cells) + " |")
-    absent = [f"{row.title} was not run: it {row.why}" for row in rows if not row.images]
+    absent = [f"{row.title} was not run: {row.why}" for row in rows if not row.images]
     text = "\n".join([*lines, "", *(f"- {note}" for note in [*notes, *absent]), ""])
     per_frame = [["row", "frame", *(n for n in names if not n.startswith("region"))]]
     for key, frames in scored.frames.items():
