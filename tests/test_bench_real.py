@@ -356,26 +356,35 @@ def test_without_transformers_the_reason_says_how_to_get_it(tmp_path: Path, monk
         load_depth_model(tmp_path)
 
 
-@pytest.mark.parametrize("kind", ["metric", "relative"])
+@pytest.mark.parametrize("kind", ["metric", "relative", "zoedepth"])
 def test_a_depth_model_of_transformers_is_read_from_a_folder(plane: tuple[Scene, RgbModel], tmp_path: Path, kind: str) -> None:
     """Tiny and of random weights: its metres mean nothing, but they are positive, of the picture's size, and give a finite scale."""
-    pytest.importorskip("transformers", reason="needs rtgs[depth]")
-    from transformers import DepthAnythingConfig, DepthAnythingForDepthEstimation, Dinov2Config
-    from transformers.models.dpt import DPTImageProcessor
-
+    transformers = pytest.importorskip("transformers", reason="needs rtgs[depth]")
     with pytest.raises(RtgsError, match=r"config\.json"):
         load_depth_model(tmp_path)
     torch.manual_seed(0)
-    backbone = Dinov2Config(
-        hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=28, patch_size=14, out_indices=[1, 2, 3, 4],
-        reshape_hidden_states=False, apply_layernorm=True,
-    )  # fmt: skip
-    config = DepthAnythingConfig(
-        backbone_config=backbone, reassemble_hidden_size=16, neck_hidden_sizes=[8, 8, 8, 8], fusion_hidden_size=8, head_hidden_size=8,
-        depth_estimation_type=kind, max_depth=20,
-    )  # fmt: skip
-    DepthAnythingForDepthEstimation(config).save_pretrained(tmp_path)
-    DPTImageProcessor(size={"height": 28, "width": 28}, keep_aspect_ratio=True, ensure_multiple_of=14).save_pretrained(tmp_path)
+    tiny = {"hidden_size": 16, "num_hidden_layers": 4, "num_attention_heads": 2, "reshape_hidden_states": False}
+    neck = {"neck_hidden_sizes": [8, 8, 8, 8], "fusion_hidden_size": 8}
+    if kind == "zoedepth":
+        from transformers.models.zoedepth import ZoeDepthImageProcessor
+
+        stages = [f"stage{i}" for i in range(1, 5)]
+        backbone = transformers.BeitConfig(**tiny, intermediate_size=16, image_size=32, patch_size=16, out_features=stages)
+        bins = [{"n_bins": 8, "min_depth": 0.001, "max_depth": 10.0, "name": "indoor"}]
+        heads = {"bottleneck_features": 8, "num_relative_features": 8, "bin_embedding_dim": 8, "num_attractors": [4, 2, 2, 1]}
+        config = transformers.ZoeDepthConfig(backbone_config=backbone, **neck, **heads, bin_configurations=bins)
+        transformers.ZoeDepthForDepthEstimation(config).save_pretrained(tmp_path)
+        ZoeDepthImageProcessor(size={"height": 32, "width": 32}).save_pretrained(tmp_path)
+    else:
+        from transformers.models.dpt import DPTImageProcessor
+
+        backbone = transformers.Dinov2Config(**tiny, image_size=28, patch_size=14, out_indices=[1, 2, 3, 4], apply_layernorm=True)
+        heads = {"reassemble_hidden_size": 16, "head_hidden_size": 8, "depth_estimation_type": kind, "max_depth": 20}
+        config = transformers.DepthAnythingConfig(backbone_config=backbone, **neck, **heads)
+        transformers.DepthAnythingForDepthEstimation(config).save_pretrained(tmp_path)
+        DPTImageProcessor(size={"height": 28, "width": 28}, keep_aspect_ratio=True, ensure_multiple_of=14).save_pretrained(
+            tmp_path
+        )
     if kind == "relative":
         with pytest.raises(RtgsError, match="relative depth"):
             load_depth_model(tmp_path)

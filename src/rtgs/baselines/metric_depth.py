@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch.nn import functional
 
 from rtgs.errors import RtgsError
 from rtgs.models import RgbModel
@@ -76,11 +76,11 @@ def load_depth_model(folder: Path) -> DepthPredictor:
         raise RtgsError(f"--depth-model {folder}: a {kind} of relative depth, which knows no metres. The row {ABSENT}.")
 
     def predict(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-        size = rgb.shape[:2]
-        inputs = processor(images=(rgb * 255 + 0.5).astype(np.uint8), return_tensors="pt")
-        more: dict[str, Any] = {"source_sizes": [size]} if kind == "zoedepth" else {}  # it pads, and has to take that off
+        # Not padded: what takes the padding of ZoeDepth off again needs torchvision.
+        inputs = processor(images=(rgb * 255 + 0.5).astype(np.uint8), do_pad=False, return_tensors="pt")
         with torch.no_grad():
-            found = processor.post_process_depth_estimation(model(**inputs), target_sizes=[size], **more)
-        return np.asarray(found[0]["predicted_depth"].numpy(), np.float32)
+            metres = model(**inputs).predicted_depth[:, None]
+        whole = functional.interpolate(metres, size=rgb.shape[:2], mode="bilinear", align_corners=False)
+        return np.asarray(whole[0, 0].numpy(), np.float32)
 
     return predict
