@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -434,6 +435,23 @@ def test_scene_folder_is_one_rig_in_sfm_units(root: Path, tmp_path: Path) -> Non
             np.testing.assert_allclose(image.cam_from_world().matrix(), pose.matrix()[:3], atol=1e-12)
     assert {c.model_name for c in model.cameras.values()} == {"PINHOLE"}
     np.testing.assert_allclose(model.cameras[2].params, [45, 45, 20, 16])
+
+
+def test_a_thermal_camera_that_fires_late_has_poses_of_its_own(root: Path, tmp_path: Path) -> None:
+    scene = scene_of(root)
+    late = replace(scene, capture=replace(scene.capture, rig=replace(scene.rig, time_offset=0.25)))
+    write_scene(tmp_path / "scene", late, 2.5)
+    model = pycolmap.Reconstruction(str(tmp_path / "scene"))
+    assert (model.num_rigs(), model.num_frames(), model.num_images()) == (2, 8, 8)
+    for name in NAMES[:4]:
+        for folder, pose in (("rgb", scene.rgb_from_world(name)), ("thermal", late.thermal_from_world(name, 2.5))):
+            image = model.find_image_with_name(f"{folder}/{name}.png")
+            np.testing.assert_allclose(image.cam_from_world().matrix(), pose.matrix()[:3], atol=1e-12)
+        assert not np.allclose(
+            late.thermal_from_world(name, 2.5).matrix(), scene.thermal_from_world(name, 2.5).matrix(), atol=1e-3
+        )
+    again = read_scene(tmp_path / "scene", scene.capture)
+    assert list(again.world_from_rgb) == list(scene.world_from_rgb)
 
 
 def test_scene_folder_of_another_capture_is_refused(root: Path, tmp_path: Path) -> None:

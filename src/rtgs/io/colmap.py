@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from rtgs.geometry import SE3, quat_from_rotation, rotation_from_quat
 from rtgs.io.images import frame_name, in_thermal_folder
 from rtgs.scene import Capture, Poses, Scene, SparsePoints
 
-RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID = 1, 2, 1
+RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID, THERMAL_RIG_ID = 1, 2, 1, 2
 _FAILURES = "failures.json"
 
 
@@ -74,7 +74,8 @@ def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
 
     RGB (the rig's reference) and thermal are one rig; each registered frame is a rig frame with images `rgb/NAME.png` and
     `thermal/NAME.png`. While the scale is unknown the thermal camera stands in the rig without a pose, and frames hold RGB alone.
-    `failures.json` lists the frames that weren't registered. Point colours are stored in 8 bits.
+    Where the rig has a time offset the two don't stand in a fixed relation: the thermal camera is a rig of its own, with frames of its
+    own. `failures.json` lists the frames that weren't registered. Point colours are stored in 8 bits.
 
     Args:
         path: folder, made if needed.
@@ -88,25 +89,27 @@ def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
     model.add_camera(thermal)
     rig = pycolmap.Rig(rig_id=RIG_ID)
     rig.add_ref_sensor(rgb.sensor_id)
+    apart = sfm_per_metre is not None and scene.rig.time_offset != 0.0
     thermal_from_rgb = None
     if sfm_per_metre is not None:
         thermal_from_rgb = rigid3d_from_se3(scene.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre).inverse())
-    rig.add_sensor(thermal.sensor_id, thermal_from_rgb)
+    if apart:
+        own = pycolmap.Rig(rig_id=THERMAL_RIG_ID)
+        own.add_ref_sensor(thermal.sensor_id)
+        model.add_rig(own)
+    else:
+        rig.add_sensor(thermal.sensor_id, thermal_from_rgb)
     model.add_rig(rig)
-    sensors = [("rgb", rgb)] + ([("thermal", thermal)] if sfm_per_metre is not None else [])
-    for i, name in enumerate(sorted(scene.world_from_rgb)):
-        images = [
-            pycolmap.Image(name=f"{folder}/{name}.png", camera_id=camera.camera_id, image_id=1 + 2 * i + k)
-            for k, (folder, camera) in enumerate(sensors)
-        ]
-        frame = pycolmap.Frame(frame_id=1 + i, rig_id=RIG_ID, rig_from_world=rigid3d_from_se3(scene.rgb_from_world(name)))
-        for image in images:
-            frame.add_data_id(image.data_id)
-        model.add_frame(frame)
-        for image in images:
-            image.frame_id = frame.frame_id
-            model.add_image(image)
-        model.register_frame(frame.frame_id)
+    names = sorted(scene.world_from_rgb)
+    for i, name in enumerate(names):
+        rgb_image = pycolmap.Image(name=f"rgb/{name}.png", camera_id=RGB_CAMERA_ID, image_id=1 + 2 * i)
+        thermal_image = pycolmap.Image(name=f"thermal/{name}.png", camera_id=THERMAL_CAMERA_ID, image_id=2 + 2 * i)
+        together = [rgb_image] if apart or sfm_per_metre is None else [rgb_image, thermal_image]
+        _add_frame(model, 1 + i, RIG_ID, scene.rgb_from_world(name), together)
+        if apart:
+            assert sfm_per_metre is not None
+            thermal_from_world = scene.thermal_from_world(name, sfm_per_metre)
+            _add_frame(model, 1 + len(names) + i, THERMAL_RIG_ID, thermal_from_world, [thermal_image])
     colours = np.round(np.clip(scene.points.rgb, 0, 1) * 255).astype(np.uint8)
     for xyz, colour in zip(scene.points.xyz, colours, strict=True):
         model.add_point3D(xyz, pycolmap.Track(), colour)
@@ -115,6 +118,19 @@ def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
         model.write_binary(path)
     failures = {name: scene.failures[name] for name in sorted(scene.failures)}
     (path / _FAILURES).write_text(json.dumps(failures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _add_frame(
+    model: pycolmap.Reconstruction, frame_id: int, rig_id: int, rig_from_world: SE3, images: Sequence[pycolmap.Image]
+) -> None:
+    frame = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id, rig_from_world=rigid3d_from_se3(rig_from_world))
+    for image in images:
+        frame.add_data_id(image.data_id)
+    model.add_frame(frame)
+    for image in images:
+        image.frame_id = frame_id
+        model.add_image(image)
+    model.register_frame(frame_id)
 
 
 def read_scene(path: Path, capture: Capture) -> Scene:
