@@ -16,16 +16,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from PIL import Image
 from plyfile import PlyData
 
 import rtgs.cli
+import rtgs.pipeline
 import rtgs.synthetic
 from rtgs.cli import main
 from rtgs.config import RunConfig, from_json, to_json
 from rtgs.errors import RtgsError
+from rtgs.geometry import SE3, rotation_from_axis_angle
+from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_sparse
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.pictures import to_picture
@@ -33,6 +37,8 @@ from rtgs.pipeline import STAGES, Pipeline, RunFolder
 from rtgs.pipeline.folder import fingerprints
 from rtgs.progress import Progress
 from rtgs.render import render
+from rtgs.scale.records import Refinement
+from rtgs.scene import Rig, Scene
 from rtgs.synthetic import SynthConfig, write_capture
 
 SOURCE = Path(rtgs.cli.__file__).parent
@@ -239,6 +245,47 @@ def test_a_scale_setting_redoes_the_scale_and_what_follows(capture: Path, run: P
         assert after[name][0] != before[name][0], name
     assert len(strict_json(run / "scale.json")["history"]["step"]) == 6
     assert strict_json(run / "metrics.json")["timings_s"]["rgb"] > 0  # that of the earlier call
+
+
+def test_the_refined_rig_is_what_later_stages_see(
+    capture: Path, run: Path, recorded: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the scale starts from the calibrated one each time."""
+    calibrated, rig_json = load_capture(capture).rig, (capture / "rig.json").read_bytes()
+    turned = SE3(rotation_from_axis_angle([0.0, 0.05, 0.0]), np.array([0.1, 0.05, 0.0]))
+    thermal = replace(calibrated.thermal, fl_x=50.0, fl_y=51.0)
+    refined = replace(calibrated, rgb_from_thermal=turned, thermal=thermal, time_offset=0.25)
+    seen: dict[str, list[Rig]] = {}
+
+    def watched(name: str) -> Any:
+        work = getattr(rtgs.pipeline, name)
+
+        def call(scene: Scene, *arguments: Any, **more: Any) -> Any:
+            seen.setdefault(name, []).append(scene.rig)
+            result = work(scene, *arguments, **more)
+            if name != "estimate_scale":
+                return result
+            return replace(result, refinement=Refinement.of(result.sfm_per_metre, [], np.eye(1), refined))
+
+        return call
+
+    def same(a: Rig, b: Rig) -> bool:
+        poses = np.allclose(a.rgb_from_thermal.matrix(), b.rgb_from_thermal.matrix(), atol=1e-12)
+        return poses and (a.thermal, a.rgb, a.time_offset) == (b.thermal, b.rgb, b.time_offset)
+
+    for name in ("estimate_scale", "fit_thermal", "gaussian_temperatures", "evaluate"):
+        monkeypatch.setattr(rtgs.pipeline, name, watched(name))
+    _, code = recorded(["run", str(capture), f"--out={run}", "--scale.steps", "6"])
+    assert code == 0 and same(seen["estimate_scale"][0], calibrated)
+    for name in ("fit_thermal", "gaussian_temperatures", "evaluate"):
+        assert seen[name] and all(same(rig, refined) for rig in seen[name]), name
+    assert same(RunFolder(run).read_scene(load_capture(capture)).rig, refined)  # what render and export start from
+    _, code = recorded(["export", str(run), "--out", str(run.parent / "export")])
+    model = pycolmap.Reconstruction(str(run.parent / "export" / "scene"))
+    assert code == 0 and model.num_rigs() == 2 and list(model.cameras[2].params[:2]) == [50.0, 51.0]
+    _, code = recorded(["scale", str(run), "--steps", "7"])
+    assert code == 0 and same(seen["estimate_scale"][1], calibrated)
+    assert (capture / "rig.json").read_bytes() == rig_json
 
 
 def test_old_results_do_not_stay_beside_a_new_scale(run: Path, recorded: Any) -> None:
