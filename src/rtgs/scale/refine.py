@@ -36,6 +36,7 @@ TIME_OFFSET_STD = 1 / math.sqrt(12)
 
 _DIFFERENCE = 1e-4  # of a prior's standard deviation, for the poses' derivatives
 _HESSIAN_PIXELS = 0.5
+_HESSIAN_FRAMES = 16
 _MOST_STEPS = 6
 _MOST_HESSIANS = 3
 _LONGEST = 2.0  # pixels of the size compared
@@ -357,17 +358,19 @@ def solve(joint: Joint, pictures: Pictures, theta: float, free: NDArray[np.bool_
     """
     x = np.zeros(joint.size)
     x[0] = theta
-    indices = range(len(pictures.frames))
+    every = range(len(pictures.frames))
+    few = every[:: -(-len(every) // _HESSIAN_FRAMES)]
     prior = joint.prior[np.ix_(free, free)]
     pixels = joint.pixels(x, pictures.model.gaussians)
     coarsest = _coarsest(pictures.scene, pixels, free)
-    joint.counter.plan((coarsest + 1) * (4 * joint.size + 6) * len(indices))
+    joint.counter.plan(4 * (coarsest + 1) * joint.size * len(few) + 6 * len(every))
     for halved in range(coarsest, -1, -1):
         objective, coarse_pixel = pictures.objective(halved), 2.0**halved
+        indices = few if halved else every
         here = joint.evaluate(objective, indices, x)
         for _ in range(_MOST_HESSIANS):
             began = x
-            hessian = joint.hessian(objective, indices, x, np.minimum(_HESSIAN_PIXELS * coarse_pixel / pixels, 1.0))
+            hessian = joint.hessian(objective, few, x, np.minimum(_HESSIAN_PIXELS * coarse_pixel / pixels, 1.0))
             curved = positive(hessian[np.ix_(free, free)], here.gauss_newton[np.ix_(free, free)])
             scatter = noise(here.gradients[:, free]) + bias(curved, pixels[free])
             weight = best_weight(curved, scatter, prior)
