@@ -280,6 +280,7 @@ def test_the_refined_rig_is_what_later_stages_see(
     for name in ("fit_thermal", "gaussian_temperatures", "evaluate"):
         assert seen[name] and all(same(rig, refined) for rig in seen[name]), name
     assert same(RunFolder(run).read_scene(load_capture(capture)).rig, refined)  # what render and export start from
+    assert list(pycolmap.Reconstruction(str(run / "scene")).cameras[2].params[:2]) == [50.0, 51.0]
     _, code = recorded(["export", str(run), "--out", str(run.parent / "export")])
     model = pycolmap.Reconstruction(str(run.parent / "export" / "scene"))
     assert code == 0 and model.num_rigs() == 2 and list(model.cameras[2].params[:2]) == [50.0, 51.0]
