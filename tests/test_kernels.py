@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numba as nb
 import numpy as np
 import pytest
 
 from rtgs.render.cpu import layout, simd, tiles
-from rtgs.render.cpu.simd import LANES, load, store
+from rtgs.render.cpu.simd import LANES, load, store, take_next
 
 
 @nb.njit
@@ -122,13 +120,27 @@ def test_lists_hold_each_splat_once_in_each_tile_of_its_box_front_to_back() -> N
             assert entries[tile_starts[r * columns + c] + places[pair_starts[i] + j]] == i
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3, 8])
-def test_every_tile_is_dealt_once(threads: int) -> None:
-    starts = np.concatenate([[0], np.cumsum(np.random.default_rng(2).integers(0, 50, 37))])
-    order, shares = tiles.balanced(starts, threads)
-    assert sorted(order) == list(range(37)) and shares[0] == 0 and shares[-1] == 37 and len(shares) == threads + 1
-    work = [np.diff(starts)[order[a:b]].sum() for a, b in itertools.pairwise(shares)]
-    assert max(work) - min(work) <= np.diff(starts).max()
+def test_long_lists_are_taken_first() -> None:
+    lengths = np.random.default_rng(2).integers(0, 50, 37)
+    order = tiles.longest_first(np.concatenate([[0], np.cumsum(lengths)]))
+    assert sorted(order) == list(range(37)) and (np.diff(lengths[order]) <= 0).all()
+
+
+@nb.njit(parallel=True)
+def _drawn(threads, numbers):  # type: ignore[no-untyped-def]
+    taken, found = np.zeros(1, np.int64), np.zeros((threads, numbers), np.int64)
+    for thread in nb.prange(threads):
+        for _ in range(numbers):
+            number = take_next(taken)
+            if number >= numbers:
+                break
+            found[thread, number] += 1
+    return found
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_draw_every_number_once(threads: int) -> None:
+    assert (_drawn(threads, 20_000).sum(axis=0) == 1).all()
 
 
 def test_small_pictures_have_enough_tiles_to_share() -> None:

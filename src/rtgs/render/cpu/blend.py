@@ -53,6 +53,7 @@ from rtgs.render.cpu.simd import (
     negative_magnitude,
     square_root,
     store,
+    take_next,
     total,
     where,
 )
@@ -243,14 +244,18 @@ def _blend_tile(start, end, entries, splats, left, top, side, channels, image, a
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend(tile_order, shares, tile_starts, entries, splats, side, channels, image, alpha, used):
+def blend(tile_order, threads, tile_starts, entries, splats, side, channels, image, alpha, used):
     """Fill `image` `[H, W, C]`, `alpha` `[H, W]` and `used` `[T]`, how many of its list entries a tile needed.
 
     `channels` is a tuple of length C: its type carries C into the compiled code.
     """
     across = (image.shape[1] + side - 1) // side
-    for share in nb.prange(len(shares) - 1):
-        for n in range(shares[share], shares[share + 1]):
+    taken = np.zeros(1, np.int64)
+    for _thread in nb.prange(threads):
+        for _ in range(len(tile_order)):
+            n = take_next(taken)
+            if n >= len(tile_order):
+                break
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
             start, end = tile_starts[tile], tile_starts[tile + 1]
@@ -369,7 +374,7 @@ def _blend_tile_backward(
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def blend_backward(
     tile_order,
-    shares,
+    threads,
     tile_starts,
     entries,
     splats,
@@ -390,8 +395,12 @@ def blend_backward(
         slot_starts: `[T]`, where each tile's entries begin in `slot_grads`.
     """
     across = (image.shape[1] + side - 1) // side
-    for share in nb.prange(len(shares) - 1):
-        for n in range(shares[share], shares[share + 1]):
+    taken = np.zeros(1, np.int64)
+    for _thread in nb.prange(threads):
+        for _ in range(len(tile_order)):
+            n = take_next(taken)
+            if n >= len(tile_order):
+                break
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
             start, slot = tile_starts[tile], slot_starts[tile]
@@ -456,12 +465,16 @@ def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, 
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
-def blend_adjoint(tile_order, shares, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
+def blend_adjoint(tile_order, threads, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
     """Fill `slot_grads`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map of the
     colours."""
     across = (g_image.shape[1] + side - 1) // side
-    for share in nb.prange(len(shares) - 1):
-        for n in range(shares[share], shares[share + 1]):
+    taken = np.zeros(1, np.int64)
+    for _thread in nb.prange(threads):
+        for _ in range(len(tile_order)):
+            n = take_next(taken)
+            if n >= len(tile_order):
+                break
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
             start, slot = tile_starts[tile], slot_starts[tile]
@@ -568,7 +581,7 @@ def _blend_tile_tangents(
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def blend_tangents(
-    tile_order, shares, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
+    tile_order, threads, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
 ):
     """`blend`, and its tangents `d_image` `[H, W, K·C]`, `d_alpha` `[H, W, K]`.
 
@@ -577,8 +590,12 @@ def blend_tangents(
         channels, directions: tuples of length C and K.
     """
     across = (image.shape[1] + side - 1) // side
-    for share in nb.prange(len(shares) - 1):
-        for n in range(shares[share], shares[share + 1]):
+    taken = np.zeros(1, np.int64)
+    for _thread in nb.prange(threads):
+        for _ in range(len(tile_order)):
+            n = take_next(taken)
+            if n >= len(tile_order):
+                break
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
             start, end = tile_starts[tile], tile_starts[tile + 1]

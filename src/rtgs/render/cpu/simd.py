@@ -175,6 +175,20 @@ def store(typingctx, array, index, value):
 
 
 @intrinsic
+def take_next(typingctx, counter):
+    """The counter's number, which is one more for whoever asks next: of `[1]` int64, shared between threads.
+
+    Threads that draw their work so end together, whatever slows one of them: another job, or a slower core.
+    """
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(counter), codegen
+
+
+@intrinsic
 def prefetch(typingctx, array, index):
     """Ask for the cache line of the flat `index`; any index is allowed."""
 

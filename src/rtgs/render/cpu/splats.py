@@ -36,7 +36,7 @@ class Splats:
         rows: `[N · 16]` float32 (see `layout`), set where visible.
         tiles: `[N]`, tiles in a splat's box, 0 where not visible. boxes: `[N, 4]` int16. pair_starts: `[N + 1]` into places.
         tile_starts: `[T + 1]` into entries; entries: `[S + padding]`; places: `[S]` (see `tiles.bin_splats`).
-        shares: the tiles, share by share, and where each thread's begins (see `tiles.balanced`).
+        tile_order: `[T]`, in which threads take the tiles.
         view: intrinsics `[4]` and image size `[2]`, float64.
         side: of a tile, pixels.
         channels: C.
@@ -49,7 +49,7 @@ class Splats:
     tile_starts: NDArray[np.int64]
     entries: NDArray[np.int32]
     places: NDArray[np.int32]
-    shares: tuple[NDArray[np.int64], NDArray[np.int64]]
+    tile_order: NDArray[np.int64]
     view: tuple[NDArray[np.float64], NDArray[np.float64]]
     side: int
     channels: int
@@ -75,8 +75,8 @@ class Splats:
         order, pair_starts = tiles.depth_order(depths.view(np.uint32), counts)
         columns, lines = -(-camera.width // side), -(-camera.height // side)
         tile_starts, entries, places = tiles.bin_splats(order, boxes, pair_starts, columns, lines)
-        shares = tiles.balanced(tile_starts, nb.get_num_threads())
-        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, shares, view, side, colors.shape[1])
+        tile_order = tiles.longest_first(tile_starts)
+        return Splats(rows, counts, boxes, pair_starts, tile_starts, entries, places, tile_order, view, side, colors.shape[1])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,7 +86,7 @@ class Splats:
     @property
     def lists(self) -> tuple[Any, ...]:
         """What every blending kernel begins with."""
-        return *self.shares, self.tile_starts, self.entries, self.rows, self.side
+        return self.tile_order, nb.get_num_threads(), self.tile_starts, self.entries, self.rows, self.side
 
     def blend(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
         """Image `[H, W, C]`, alpha `[H, W]`, and how many of its entries each tile needed `[T]`."""

@@ -125,14 +125,6 @@ def bin_splats(
     return lists
 
 
-def balanced(tile_starts: NDArray[np.int64], threads: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tiles in shares of equal work: by falling length of their lists, dealt to and fro.
-
-    Returns:
-        The tiles `[T]` share by share, and where each share begins `[threads + 1]`.
-    """
-    by_length = np.argsort(-np.diff(tile_starts), kind="stable")
-    turn, seat = np.divmod(np.arange(len(by_length)), threads)
-    share = np.where(turn % 2 == 0, seat, threads - 1 - seat)
-    ends = np.cumsum(np.bincount(share, minlength=threads))
-    return by_length[np.argsort(share, kind="stable")], np.concatenate([[0], ends])
+def longest_first(tile_starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The tiles `[T]` by falling length of their lists: threads take one after the other, and end with the small ones."""
+    return np.argsort(-np.diff(tile_starts), kind="stable")

@@ -1,0 +1,70 @@
+"""Does one half of a real capture say the same as the other? Random disjoint halves of the training frames, each with its interval.
+
+    python benchmarks/scale_splits.py RUN [--splits 5] [--refine rotation baseline-direction focal]
+
+RUN is a run folder with an RGB model. Two halves agree when their answers differ by less than their intervals allow together:
+|ln s₁ − ln s₂| ≤ √(h₁² + h₂²), h half of `ci95` in ln s; whether the intervals overlap is said beside it. The RGB model has seen all
+training frames; the halves are of the frames that the scale is taken from.
+
+Prints a Markdown table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rtgs.config import ScaleConfig
+from rtgs.io.capture import load_capture
+from rtgs.pipeline import RunFolder
+from rtgs.scale import ScaleEstimate, estimate_scale
+from rtgs.scene import Frame, Scene
+
+
+def seen_by(scene: Scene, frames: list[Frame]) -> Scene:
+    return replace(scene, world_from_rgb={f.name: scene.world_from_rgb[f.name] for f in frames})
+
+
+def half_width(estimate: ScaleEstimate) -> float:
+    """Of `ci95` in ln s; infinite where there is none."""
+    return 0.5 * math.log(estimate.ci95[1] / estimate.ci95[0]) if estimate.ci95 else math.inf
+
+
+def told(estimate: ScaleEstimate) -> str:
+    return f"{estimate.sfm_per_metre:.5g} ± {100 * half_width(estimate):.2f} %" + (
+        "" if estimate.status == "ok" else f" ({estimate.status})"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--splits", type=int, default=5)
+    parser.add_argument("--refine", nargs="*", default=[])
+    o = parser.parse_args()
+    folder = RunFolder(o.run)
+    path, config = folder.read_config()
+    scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
+    settings = ScaleConfig(refine=tuple(o.refine))
+    train = scene.train_frames
+    print(f"All {len(train)} training frames: {told(estimate_scale(scene, model, settings))}.\n", flush=True)
+    print("| split | one half | the other | apart | allowed | agree | intervals overlap |\n|---|---|---|---|---|---|---|")
+    for split in range(o.splits):
+        order = np.random.default_rng(split).permutation(len(train))
+        halves = [sorted(order[: len(train) // 2]), sorted(order[len(train) // 2 :])]
+        one, other = (estimate_scale(seen_by(scene, [train[i] for i in half]), model, settings) for half in halves)
+        apart = abs(math.log(one.sfm_per_metre / other.sfm_per_metre))
+        allowed, together = math.hypot(half_width(one), half_width(other)), half_width(one) + half_width(other)
+        print(
+            f"| {split} | {told(one)} | {told(other)} | {100 * apart:.2f} % | {100 * allowed:.2f} % | "
+            f"{'yes' if apart <= allowed else 'no'} | {'yes' if apart <= together else 'no'} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
