@@ -32,7 +32,7 @@ ARGUMENTS = {
     "bench": ["synthetic"],
 }
 BENCHES = {
-    "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--quality", "--workers"],
+    "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--rgb.quality", "--workers"],
     "real": ["PATH", "--out", "--manual.frames", "--depth-model", "--mast3r-weights", "--plane-m", "--region", "--thermal.drift"],
 }
 

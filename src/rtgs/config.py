@@ -275,7 +275,7 @@ class SynthConfig:
             raise RtgsError(f"sfm_per_metre: {self.sfm_per_metre} is not a finite positive number")
 
 
-BenchTable = Literal["1", "2", "beyond", "ablation"]
+BenchTable = Literal["1", "2", "beyond"]
 BENCH_TABLES: tuple[BenchTable, ...] = get_args(BenchTable)
 
 
@@ -283,10 +283,9 @@ BENCH_TABLES: tuple[BenchTable, ...] = get_args(BenchTable)
 class BenchSyntheticConfig:
     """Settings of `rtgs bench synthetic`."""
 
-    table: Literal["1", "2", "beyond", "ablation", "all"] = "1"
+    table: Literal["1", "2", "beyond", "all"] = "1"
     """"1": the paper's Table I, six scenes × five seeds; "2": its Table II, what goes wrong with images and calibration; "beyond": fewer
-    frames, more noise, inverted contrast, low resolution, a scene that does not show its scale; "ablation": each default against the
-    paper's value"""
+    frames, more noise, inverted contrast, low resolution, a scene that does not show its scale"""
     size: int = 400
     """width and height of all images, in pixels"""
     frames: int = 50
@@ -295,10 +294,15 @@ class BenchSyntheticConfig:
     """which scenes"""
     seeds: int = 5
     """trials a scene: each draws the start, the rig's direction and rotation, and the thermal noise"""
-    quality: Quality = "fast"
-    """of the RGB models, one a scene"""
+    rgb: RgbConfig = field(default_factory=lambda: RgbConfig(quality="fast"))
+    """training of the RGB models, one a scene"""
     workers: int | None = None
     """processes; None: one a core"""
+
+    @property
+    def tables(self) -> tuple[BenchTable, ...]:
+        """Which."""
+        return BENCH_TABLES if self.table == "all" else (self.table,)
 
     def check(self) -> None:
         """Raises `RtgsError` where a field is out of its range."""

@@ -30,11 +30,13 @@ class Rival:
     Attributes:
         key: in file names. title: in tables.
         loss: prepares the loss against a thermal image.
+        smooth: whether it changes slowly along θ: over pixels of flow, not fractions of one.
     """
 
     key: str
     title: str
     loss: LossOf
+    smooth: bool = False
 
     def objective(
         self, pictures: Objective, thermal: Mapping[str, NDArray[np.float32]], mask: NDArray[np.bool_]

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from rtgs.config import ScaleConfig
 from rtgs.models import RgbModel
 from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scene import Scene
 
-KEY = "ours"
-TITLE = "ours"
+
+@dataclass(frozen=True)
+class Own:
+    """A way to call `estimate_scale`. key: in file names. title: in tables."""
+
+    key: str
+    title: str
+    config: ScaleConfig
+
+    def __call__(self, scene: Scene, model: RgbModel) -> ScaleEstimate:
+        return estimate_scale(scene, model, self.config)
 
 
-def ours(scene: Scene, model: RgbModel) -> ScaleEstimate:
-    """The global search."""
-    return estimate_scale(scene, model, ScaleConfig(solver="global"))
+OURS = Own("ours", "ours", ScaleConfig(solver="global"))
+OURS_REFINED = Own(
+    "ours_refined", "ours, refined", ScaleConfig(solver="global", refine=("rotation", "baseline-direction", "focal"))
+)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtgs.benchmarks.records import write_json
 from rtgs.benchmarks.variants import Variant
-from rtgs.config import Quality, RgbConfig, SfmConfig, SynthConfig, read_run_json
+from rtgs.config import RgbConfig, SfmConfig, SynthConfig, read_run_json
 from rtgs.fit_rgb import fit_rgb
 from rtgs.io.capture import load_capture
 from rtgs.models import RgbModel
@@ -35,7 +35,7 @@ from rtgs.synthetic.capture import (
 _START = (0.5, 2.0)  # s0 over the truth
 
 
-def prepare(folder: Path, config: SynthConfig, quality: Quality) -> None:
+def prepare(folder: Path, config: SynthConfig, rgb: RgbConfig) -> None:
     """Render a scene's photographs, triangulate points and train its RGB model, where that is still to do."""
     done = folder / "scene.json"
     if done.exists():
@@ -45,7 +45,7 @@ def prepare(folder: Path, config: SynthConfig, quality: Quality) -> None:
     write_capture(folder / "capture", config)
     scene = run_sfm(load_capture(folder / "capture"), SfmConfig())
     run.write_scene(scene, None)
-    model = fit_rgb(scene, RgbConfig(quality=quality))
+    model = fit_rgb(scene, rgb)
     run.write_rgb(model)
     scores = model.history["held_out_psnr"]
     write_json(done, {"psnr_db": scores[-1], "gaussians": len(model.gaussians), "points": len(scene.points)})

@@ -15,14 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.baselines import INERF_L1, NGF_PYRAMID, RIVALS, Rival
-from rtgs.baselines import ours as ours_rival
+from rtgs.baselines import INERF_L1, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS, Own, Rival
 from rtgs.benchmarks.curves import Curves, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial, prepare
 from rtgs.benchmarks.tables import write_tables
-from rtgs.benchmarks.variants import BEYOND, PERTURBATIONS, REFERENCE_ROW, Variant, groups
-from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, BenchTable, Quality, ScaleConfig, SceneName, SynthConfig
+from rtgs.benchmarks.variants import ROWS, Variant, groups
+from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, BenchTable, RgbConfig, ScaleConfig, SceneName, SynthConfig, to_json
 from rtgs.progress import Progress
 from rtgs.scale import Objective, ScaleEstimate, estimate_scale
 from rtgs.scale.bracket import flow_per_unit
@@ -30,9 +29,15 @@ from rtgs.scale.objective import thermal_range
 from rtgs.scene import Frame, Scene
 
 PAPER = ScaleConfig(solver="adam")  # 200 steps at 5e-3, all frames
-NODE_SPACING_PX = 0.5  # of flow, its 90th percentile
+NODE_SPACING_PX, NODE_SPACING_SHARE = 0.5, 0.015  # of flow (its 90th percentile), and of s: the less of both
 SETTLED_SHARE = 0.005
-OURS, RUN = ours_rival.KEY, f"{NGF_PYRAMID.key}_run"  # the latter: the paper's Adam as it is, to check its replay
+RUN = f"{NGF_PYRAMID.key}_run"  # the paper's Adam as it is, to check its replay
+OWN = {own.key: own for own in (OURS, OURS_REFINED)}
+_METHODS: dict[BenchTable, tuple[str, ...]] = {
+    "1": (*(r.key for r in RIVALS), OURS.key),
+    "2": (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key),
+    "beyond": (INERF_L1.key, NGF_PYRAMID.key, OURS.key),
+}
 
 
 @dataclass(frozen=True)
@@ -69,10 +74,12 @@ def bench_synthetic(out: Path, config: BenchSyntheticConfig, *, progress: Progre
             progress(done, total, text)
 
     tell("RGB models")
+    if not tasks:
+        return write_tables(folder, config)
     with _pool(config.workers) as pool:
         pending: dict[Future[None], str | Task] = {}
         for name in scenes:
-            pending[pool.submit(_prepare, str(folder.scene(name)), scene_config(config, name), config.quality)] = name
+            pending[pool.submit(_prepare, str(folder.scene(name)), scene_config(config, name), config.rgb)] = name
         try:
             while pending:
                 finished, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -92,21 +99,13 @@ def bench_synthetic(out: Path, config: BenchSyntheticConfig, *, progress: Progre
     return write_tables(folder, config)
 
 
-def tables_of(config: BenchSyntheticConfig) -> list[BenchTable]:
-    return ["1", "2", "beyond"] if config.table == "all" else [config.table]
-
-
 def tasks_of(config: BenchSyntheticConfig) -> list[Task]:
-    """All the work behind a table, the longest first."""
+    """All the work behind a table, seed by seed, so that what is stopped early still has every scene."""
     tasks = []
-    for table in tables_of(config):
-        for name in config.scenes:
-            if table == "1":
-                tasks.append(Task(name, 0, (REFERENCE_ROW,), (RUN,)))
-                tasks += [Task(name, k, (REFERENCE_ROW,), (*(r.key for r in RIVALS), OURS)) for k in range(config.seeds)]
-            else:
-                rows = PERTURBATIONS if table == "2" else BEYOND
-                tasks += [Task(name, k, rows, (INERF_L1.key, NGF_PYRAMID.key, OURS)) for k in range(config.seeds)]
+    for table in config.tables:
+        tasks += [Task(name, k, ROWS[table], _METHODS[table]) for k in range(config.seeds) for name in config.scenes]
+        if table == "1":
+            tasks += [Task(name, 0, ROWS[table], (RUN,)) for name in config.scenes]
     return tasks
 
 
@@ -116,7 +115,7 @@ def scene_config(config: BenchSyntheticConfig, scene: SceneName) -> SynthConfig:
 
 
 def _settings(config: BenchSyntheticConfig) -> dict[str, object]:
-    return {"size": config.size, "frames": config.frames, "quality": config.quality}
+    return {"size": config.size, "frames": config.frames, "rgb": to_json(config.rgb)}
 
 
 def _missing(folder: BenchFolder, task: Task) -> list[tuple[Variant, str]]:
@@ -138,8 +137,8 @@ def _single_threaded() -> None:
     torch.set_num_threads(1)
 
 
-def _prepare(folder: str, config: SynthConfig, quality: Quality) -> None:
-    prepare(Path(folder), config, quality)
+def _prepare(folder: str, config: SynthConfig, rgb: RgbConfig) -> None:
+    prepare(Path(folder), config, rgb)
 
 
 def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:
@@ -152,8 +151,8 @@ def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:
         clean = trial.temperatures(rows[0].capture(trial.config).thermal_size)
         scenes = {v.key: trial.scene(v, clean) for v in rows}
         for variant, method in missing:
-            if method == OURS:
-                folder.write(_by_ours(trial, task, variant, scenes[variant.key]))
+            if method in OWN:
+                folder.write(_by_ours(OWN[method], trial, task, variant, scenes[variant.key]))
             elif method == RUN:
                 folder.write(_by_run(trial, task, variant, scenes[variant.key]))
         descents = [(v, r) for v, m in missing for r in RIVALS if r.key == m]
@@ -161,15 +160,15 @@ def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:
             folder.write(record)
 
 
-def _by_ours(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
+def _by_ours(own: Own, trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
     started = time.process_time()
-    estimate = ours_rival.ours(_reduced(scene, variant), trial.model)
+    estimate = own(_reduced(scene, variant), trial.model)
     seconds = time.process_time() - started
     return _record(
         trial,
         task,
         variant,
-        OURS,
+        own.key,
         estimate.sfm_per_metre,
         iterations=len(estimate.history.step),
         renders=estimate.renders,
@@ -217,7 +216,7 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
         epsilon=PAPER_EPSILON,
     )
     flow = flow_per_unit(scene, trial.model.gaussians, trial.model.settings)
-    spacing = min(NODE_SPACING_PX / float(np.percentile(flow, 90)), 0.05 * trial.truth)
+    spacing = min(NODE_SPACING_PX / float(np.percentile(flow, 90)), NODE_SPACING_SHARE * trial.truth)
     thermal = {v.key: _normalised(scenes[v.key]) for v, _ in descents}
     mask = scene.capture.thermal_mask
     losses = {f"{v.key}.{r.key}": [r.loss(image, mask) for image in thermal[v.key]] for v, r in descents}
@@ -225,7 +224,7 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
     for variant, rival in descents:
         chosen = None if variant.frames is None else [frames.index(f) for f in _chosen(scene, variant)]
         key, factor = f"{variant.key}.{rival.key}", variant.length_factor
-        theta, history = replay(curves, key, math.log(trial.start * factor), PAPER, chosen)
+        theta, history = replay(curves, key, math.log(trial.start * factor), PAPER, chosen, smooth=rival.smooth)
         renders = PAPER.steps * (len(frames) if chosen is None else len(chosen))
         yield _record(
             trial,

@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgs.baselines import INERF_L1, NGF_PYRAMID, RIVALS
-from rtgs.baselines import ours as ours_rival
+from rtgs.baselines import INERF_L1, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
 from rtgs.benchmarks.figures import draw_errors
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import scene_facts
-from rtgs.benchmarks.variants import BEYOND, PERTURBATIONS, REFERENCE, Variant
+from rtgs.benchmarks.variants import REFERENCE, ROWS, Variant
 from rtgs.config import BenchSyntheticConfig
 from rtgs.scene import HELD_OUT_EVERY
 
 SUCCESS_PCT = 2.0
 RUN = f"{NGF_PYRAMID.key}_run"
-TITLES = {**{r.key: r.title for r in RIVALS}, ours_rival.KEY: ours_rival.TITLE}
+_OTHERS = (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key)  # whom the other tables show
+TITLES = {**{r.key: r.title for r in RIVALS}, **{own.key: own.title for own in (OURS, OURS_REFINED)}}
 
 
 @dataclass(frozen=True)
@@ -65,16 +65,16 @@ def write_tables(folder: BenchFolder, config: BenchSyntheticConfig) -> list[Path
     """Markdown, CSV and figures of the tables asked for, from the records that are there."""
     records = [r for r in folder.records() if r.scene in config.scenes and r.seed < config.seeds]
     written = [_write_csv(folder.path / "trials.csv", Record, records)]
-    tables = ("1", "2", "beyond") if config.table == "all" else (config.table,)
-    for table in tables:
+    for table in config.tables:
         if table == "1":
             text, summaries = table_1(records, config)
             text += "\n" + scene_table(folder, config)
             written.append(_write_csv(folder.path / "table1.csv", Summary, summaries))
             written += draw_errors(folder.path, [r for r in records if r.variant == REFERENCE and r.method in TITLES], TITLES)
         else:
-            rows, title = (PERTURBATIONS, "Table II: sensitivity") if table == "2" else (BEYOND, "Beyond the paper")
-            text = rows_table(records, rows, f"{title}{_where(records, config)}")
+            here = [r for r in records if r.variant in {row.key for row in ROWS[table]} and r.method in _OTHERS]
+            title = "Table II: sensitivity" if table == "2" else "Beyond the paper"
+            text = rows_table(here, ROWS[table], f"{title}{_where(here, config)}")
         path = folder.path / f"table_{table}.md"
         _write_text(path, text)
         written.append(path)
@@ -100,7 +100,7 @@ def table_1(records: Sequence[Record], config: BenchSyntheticConfig) -> tuple[st
 
 def rows_table(records: Sequence[Record], rows: Sequence[Variant], title: str) -> str:
     """Med % / SR@2 % for each row and method."""
-    methods = [key for key in (INERF_L1.key, NGF_PYRAMID.key, *_own(records)) if any(r.method == key for r in records)]
+    methods = [key for key in _OTHERS if any(r.method == key for r in records)]
     lines = [f"### {title}", "", "Med % / SR@2 %, of s; in brackets Med % of s·|t|, where the rig's length is off.", ""]
     lines += [
         "| perturbation | level | " + " | ".join(TITLES.get(m, m) for m in methods) + " |",
@@ -132,11 +132,6 @@ def scene_table(folder: BenchFolder, config: BenchSyntheticConfig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _own(records: Iterable[Record]) -> list[str]:
-    """This package's methods among the records."""
-    return [key for key in dict.fromkeys(r.method for r in records) if key.startswith(ours_rival.KEY)]
-
-
 def _where(records: Sequence[Record], config: BenchSyntheticConfig) -> str:
     scenes, seeds = {r.scene for r in records}, {r.seed for r in records}
     training = config.frames - len(range(0, config.frames, HELD_OUT_EVERY))
@@ -149,7 +144,7 @@ def _where(records: Sequence[Record], config: BenchSyntheticConfig) -> str:
 def _comparison(groups: dict[str, list[Record]]) -> list[str]:
     """By how much this method is worse than the paper's where it is worst."""
     paper = {(r.scene, r.seed): r.error_pct for r in groups[NGF_PYRAMID.key]}
-    own = [(r.error_pct - paper[r.scene, r.seed], r) for r in groups[ours_rival.KEY] if (r.scene, r.seed) in paper]
+    own = [(r.error_pct - paper[r.scene, r.seed], r) for r in groups[OURS.key] if (r.scene, r.seed) in paper]
     if not own:
         return []
     excess, worst = max(own, key=lambda pair: pair[0])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from rtgs.config import SynthConfig
+from rtgs.config import BenchTable, SynthConfig
 
 REFERENCE = "reference"
 
@@ -71,6 +71,9 @@ BEYOND = (
     Variant("inverted", "thermal contrast inverted", inverted=True),
     Variant("quarter", "thermal resolution", "a quarter", thermal_share=0.25),
 )
+
+
+ROWS: dict[BenchTable, tuple[Variant, ...]] = {"1": (REFERENCE_ROW,), "2": PERTURBATIONS, "beyond": BEYOND}
 
 
 def groups(variants: Sequence[Variant]) -> list[list[Variant]]:
