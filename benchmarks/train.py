@@ -1,8 +1,9 @@
 """Held-out PSNR of the RGB model against training seconds, for the quality presets.
 
-    python benchmarks/train.py CAPTURE --out DIR [--presets fast default best] [--threads 2] [--times-four] [--scale]
+    python benchmarks/train.py CAPTURE --out DIR [--presets fast default best] [--seeds 0 1] [--threads 2] [--times-four] [--scale]
 
-Each preset is trained by `rtgs.fit_rgb` on the capture's training frames. `--times-four` adds `best` with four times its steps: what is
+Each preset is trained by `rtgs.fit_rgb` on the capture's training frames, once a seed: where few frames are held out, a seed changes more
+than a preset, so presets are compared by their means over seeds. `--times-four` adds `best` with four times its steps: what is
 left to gain. `--scale` also finds the metric scale with each model, same settings, and compares it with that of `best`. What is in DIR
 already is kept, preset by preset.
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import statistics
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
@@ -44,6 +46,7 @@ class Curve:
     """One training. Lists have one entry a scoring."""
 
     name: str
+    seed: int
     steps: int
     threads: int
     step: list[int]
@@ -73,7 +76,7 @@ class Clock:
 
 def train(name: str, scene: rtgs.Scene, config: RgbConfig, threads: int, out: Path) -> Curve:
     """Train, or read what was trained before."""
-    slug = "".join(c if c.isalnum() else "_" for c in name)
+    slug = slug_of(name, config.seed)
     record = out / f"{slug}.json"
     if not record.exists():
         clock = Clock(scorings=20)  # as `fit_rgb` has it
@@ -84,6 +87,7 @@ def train(name: str, scene: rtgs.Scene, config: RgbConfig, threads: int, out: Pa
         steps = [int(s) for s in history["step"]]
         curve = Curve(
             name,
+            config.seed,
             steps[-1],
             threads,
             steps,
@@ -96,11 +100,15 @@ def train(name: str, scene: rtgs.Scene, config: RgbConfig, threads: int, out: Pa
     data = json.loads(record.read_text(encoding="utf-8"))
     if data["config"] != repr(config.resolved()) or data["curve"]["threads"] != threads:
         raise SystemExit(f"{record}: was trained with other settings or threads; name another --out")
-    return Curve(**data["curve"])
+    return Curve(**{"seed": 0, **data["curve"]})
 
 
-def find_scale(name: str, scene: rtgs.Scene, out: Path) -> float:
-    slug = "".join(c if c.isalnum() else "_" for c in name)
+def slug_of(name: str, seed: int) -> str:
+    return "".join(c if c.isalnum() else "_" for c in name) + (f"_seed_{seed}" if seed else "")
+
+
+def find_scale(name: str, seed: int, scene: rtgs.Scene, out: Path) -> float:
+    slug = slug_of(name, seed)
     path = out / f"{slug}.scale.json"
     if not path.exists():
         record = json.loads((out / f"{slug}.json").read_text(encoding="utf-8"))
@@ -109,7 +117,7 @@ def find_scale(name: str, scene: rtgs.Scene, out: Path) -> float:
 
         def progress(done: int, total: int, text: str) -> None:
             if done % 100 == 0:
-                print(f"\rscale, {name}: {done}/{total}, {text}  ", end="", file=sys.stderr, flush=True)
+                print(f"\rscale, {slug}: {done}/{total}, {text}  ", end="", file=sys.stderr, flush=True)
 
         estimate = rtgs.estimate_scale(scene, model, ScaleConfig(), progress=progress)
         print(file=sys.stderr)
@@ -126,10 +134,10 @@ def write_json(path: Path, data: Any) -> None:
 def write_csv(path: Path, curves: list[Curve]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["preset", "threads", "step", "seconds", "gaussians", "held_out_psnr_db"])
+        writer.writerow(["preset", "seed", "threads", "step", "seconds", "gaussians", "held_out_psnr_db"])
         for c in curves:
             for row in zip(c.step, c.seconds, c.gaussians, c.psnr_db, strict=True):
-                writer.writerow([c.name, c.threads, *row])
+                writer.writerow([c.name, c.seed, c.threads, *row])
 
 
 def seconds_to(curve: Curve, psnr_db: float) -> float | None:
@@ -137,48 +145,55 @@ def seconds_to(curve: Curve, psnr_db: float) -> float | None:
     return next((s for s, p in zip(curve.seconds, curve.psnr_db, strict=True) if p >= psnr_db), None)
 
 
-def markdown(curves: list[Curve], scales: dict[str, float]) -> str:
-    best = next((c for c in curves if c.name == "best"), None)
-    goal = None if best is None else best.psnr_db[-1] - 0.5
-    header = ["quality", "steps", "Gaussians", "seconds", "ms a step", "held out, dB"]
+def final_psnr(curves: list[Curve], name: str) -> float | None:
+    """Mean over seeds, dB."""
+    ends = [c.psnr_db[-1] for c in curves if c.name == name]
+    return statistics.fmean(ends) if ends else None
+
+
+def markdown(curves: list[Curve], scales: dict[tuple[str, int], float]) -> str:
+    best = final_psnr(curves, "best")
+    goal = None if best is None else best - 0.5
+    header = ["quality", "seed", "steps", "Gaussians", "seconds", "ms a step", "held out, dB"]
     header += [] if goal is None else [f"seconds to {goal:.2f} dB"]
     header += ["sfm_per_metre"] if scales else []
     lines = ["| " + " | ".join(header) + " |", "|---|" + "---:|" * (len(header) - 1)]
     for c in curves:
-        cells = [c.name, f"{c.steps:,}", f"{c.gaussians[-1]:,}", f"{c.seconds[-1]:.0f}"]
+        cells = [c.name, str(c.seed), f"{c.steps:,}", f"{c.gaussians[-1]:,}", f"{c.seconds[-1]:.0f}"]
         cells += [f"{1e3 * c.seconds[-1] / c.steps:.1f}", f"{c.psnr_db[-1]:.2f}"]
         if goal is not None:
             reached = seconds_to(c, goal)
             cells.append("–" if reached is None else f"{reached:.0f}")
         if scales:
-            cells.append(f"{scales[c.name]:.5g}" if c.name in scales else "")
+            cells.append(f"{scales[c.name, c.seed]:.5g}" if (c.name, c.seed) in scales else "")
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def comparisons(curves: list[Curve], scales: dict[str, float]) -> list[str]:
-    by_name = {c.name: c for c in curves}
+def comparisons(curves: list[Curve], scales: dict[tuple[str, int], float]) -> list[str]:
+    slowest = {name: max(c.seconds[-1] for c in curves if c.name == name) for name in {c.name for c in curves}}
+    default, best, longest = (final_psnr(curves, name) for name in ("default", "best", TIMES_FOUR))
     lines = []
-    if "default" in by_name and "best" in by_name:
-        default, best = by_name["default"], by_name["best"]
-        gap = best.psnr_db[-1] - default.psnr_db[-1]
-        lines.append(f"default ends {gap:+.2f} dB below best, after {default.seconds[-1]:.0f} s (asked: at most 0.5 dB, 480 s).")
-    if "best" in by_name and TIMES_FOUR in by_name:
-        gap = by_name[TIMES_FOUR].psnr_db[-1] - by_name["best"].psnr_db[-1]
-        lines.append(f"Four times the steps of best gain {gap:+.2f} dB (asked: at most 0.3 dB).")
-    if "fast" in by_name:
-        lines.append(f"fast took {by_name['fast'].seconds[-1]:.0f} s (asked: at most 120 s).")
-    if "best" in scales:
-        for name, value in scales.items():
-            if name != "best":
-                lines.append(f"The scale found with {name} differs from best's by {100 * (value / scales['best'] - 1):+.2f} %.")
+    if default is not None and best is not None:
+        took = f"{slowest['default']:.0f} s"
+        lines.append(f"default ends {best - default:+.2f} dB below best, after {took} (asked: at most 0.5 dB, 480 s).")
+    if best is not None and longest is not None:
+        lines.append(f"Four times the steps of best gain {longest - best:+.2f} dB (asked: at most 0.3 dB).")
+    if "fast" in slowest:
+        lines.append(f"fast took {slowest['fast']:.0f} s (asked: at most 120 s).")
+    for (name, seed), value in scales.items():
+        if name != "best" and ("best", seed) in scales:
+            apart = 100 * (value / scales["best", seed] - 1)
+            lines.append(f"The scale found with {name}, seed {seed}, differs from best's by {apart:+.2f} %.")
     return lines
 
 
 def plot(path: Path, curves: list[Curve]) -> None:
     figure, axes = plt.subplots(figsize=(7.0, 3.6), constrained_layout=True)
     for c in curves:
-        axes.plot(c.seconds, c.psnr_db, marker=".", color=COLORS.get(c.name), label=f"{c.name}: {c.steps:,} steps")
+        style = {"color": COLORS.get(c.name), "alpha": 0.5 if c.seed else 1.0}
+        label = None if c.seed else f"{c.name}: {c.steps:,} steps"
+        axes.plot(c.seconds, c.psnr_db, marker=".", label=label, **style)
     axes.set(xscale="log", xlabel=f"training time, s ({curves[0].threads} threads)", ylabel="held-out PSNR, dB")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(loc="lower right")
@@ -190,6 +205,7 @@ def main() -> None:
     parser.add_argument("capture", type=Path, help="folder with rgb/, thermal/ and rig.json")
     parser.add_argument("--out", type=Path, required=True, help="folder for models, table and curve")
     parser.add_argument("--presets", nargs="+", choices=QUALITIES, default=list(QUALITIES))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rgb-max-side", type=int, default=960, help="RGB images are reduced to this many pixels")
     parser.add_argument("--times-four", action="store_true", help="also train best with four times its steps")
@@ -207,15 +223,15 @@ def main() -> None:
     # Compiling is no training: it happens once an installation.
     rtgs.fit_rgb(scene, RgbConfig(steps=8, seed=1))
 
-    configs = {name: RgbConfig(quality=name) for name in args.presets}
+    runs = [(name, RgbConfig(quality=name, seed=seed)) for seed in args.seeds for name in args.presets]
     if args.times_four:
-        best = RgbConfig(quality="best")
-        configs[TIMES_FOUR] = replace(best, steps=4 * best.resolved().steps)
+        best = RgbConfig(quality="best", seed=args.seeds[0])
+        runs.append((TIMES_FOUR, replace(best, steps=4 * best.resolved().steps)))
     curves, scales = [], {}
-    for name, config in configs.items():
+    for name, config in runs:
         curves.append(train(name, scene, config, args.threads, args.out))
         if args.scale and name != TIMES_FOUR:
-            scales[name] = find_scale(name, scene, args.out)
+            scales[name, config.seed] = find_scale(name, config.seed, scene, args.out)
         write_csv(args.out / "train.csv", curves)
         plot(args.out / "train.png", curves)
     text = "\n".join([markdown(curves, scales), "", *comparisons(curves, scales)])
