@@ -20,8 +20,8 @@ from rtgs.benchmarks.curves import DENSER, Curves, _Mean, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial
 from rtgs.benchmarks.synthetic import RUN, bench_synthetic, scene_config, tasks_of
-from rtgs.benchmarks.tables import Summary, table_1
-from rtgs.benchmarks.variants import BEYOND, PERTURBATIONS, REFERENCE_ROW, Variant, groups
+from rtgs.benchmarks.tables import Summary, rows_table, table_1
+from rtgs.benchmarks.variants import BEYOND, FAR, FAR_SCENE, PERTURBATIONS, REFERENCE_ROW, Variant, groups
 from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, DensifyConfig, RgbConfig, ScaleConfig
 from rtgs.errors import RtgsError
 from rtgs.scale import Objective, adam
@@ -266,6 +266,13 @@ def test_work_is_seed_by_seed() -> None:
     tasks = tasks_of(BenchSyntheticConfig(seeds=2))
     assert [t.scene for t in tasks[:6]] == list(BenchSyntheticConfig().scenes) and {t.seed for t in tasks[:6]} == {0}
     assert sum(t.methods == (RUN,) for t in tasks) == 6 and len(tasks) == 18
-    assert {v.key for t in tasks_of(BenchSyntheticConfig(table="all")) for v in t.variants} >= {
-        v.key for v in (*PERTURBATIONS, *BEYOND)
-    }
+    every = tasks_of(BenchSyntheticConfig(table="all"))
+    assert {v.key for t in every for v in t.variants} == {v.key for v in (*PERTURBATIONS, *BEYOND, FAR)}
+    assert {t.scene for t in every if FAR in t.variants} == {FAR_SCENE} and all(FAR not in t.variants[1:] for t in every)
+
+
+def test_rows_beyond_the_paper() -> None:
+    """The plain's row has verdicts in place of a scale."""
+    far = [replace(record(40.0, scene=FAR_SCENE), variant=FAR.key, status="unobservable")] * 3
+    text = rows_table([record(0.1), *far], (REFERENCE_ROW, FAR), "title")
+    assert "| 0.10 / 100 |" in text and "3 of 3 unobservable" in text

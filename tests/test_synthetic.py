@@ -16,7 +16,7 @@ from rtgs.camera import Camera
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3, is_rotation, look_at
 from rtgs.synthetic import SCENES, GroundTruth, SynthConfig, compiled_scene, render_rgb, render_thermal, write_capture
-from rtgs.synthetic.capture import sfm_per_metre_of, true_rig, written_rig
+from rtgs.synthetic.capture import camera_path, sfm_per_metre_of, true_rig, written_rig
 from rtgs.synthetic.meshes import box, cylinder, plate_with_hole, rod, sphere, torus
 from rtgs.synthetic.model import STUDIO, Light, Material, Model, Part
 from rtgs.synthetic.raycast import CompiledModel
@@ -127,14 +127,23 @@ def test_noise_is_as_asked(capture: tuple[Path, GroundTruth]) -> None:
 
 @pytest.mark.parametrize("scene", [s for s in SCENES if s != "room"])
 def test_objects_stay_in_both_pictures(scene: str) -> None:
-    from rtgs.synthetic.capture import camera_path
-
     config = SynthConfig(scene=scene)  # type: ignore[arg-type]
     model, rig = compiled_scene(config.scene), true_rig(config)
     for world_from_rgb in camera_path(config, model.model.centre):
         for camera, pose in ((rig.rgb, world_from_rgb), (rig.thermal, world_from_rgb @ rig.rgb_from_thermal)):
             pixels = _project(camera, pose, model.points)
             assert pixels.min() > 0 and pixels.max() < camera.width
+
+
+def test_the_plain_fills_the_picture_and_hides_the_baseline() -> None:
+    config = SynthConfig(scene="plain", size=100, frames=12, rig_seed=2)
+    model, rig = compiled_scene("plain"), true_rig(config)
+    for pose in camera_path(config, model.model.centre):
+        image = render_thermal(model, rig.thermal, pose @ rig.rgb_from_thermal, 1)
+        assert image.min() > model.model.background_c + 2  # no pixel looks past it
+        assert image.max() - image.min() > 10
+    flow_px = rig.thermal.fl_x * config.baseline_m / 750
+    assert flow_px < 0.05
 
 
 def _project(camera: Camera, world_from_camera: SE3, points: NDArray[np.float64]) -> NDArray[np.float64]:

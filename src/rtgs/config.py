@@ -21,8 +21,8 @@ T = TypeVar("T")
 PAPER_EPSILON = 1e-6
 PAPER_LEVEL_WEIGHTS = (1.0, 0.5, 0.25)  # w_l = 0.5^l, level 0 the finest, as printed
 
-SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room"]
-SCENES: tuple[SceneName, ...] = get_args(SceneName)
+SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room", "plain"]
+SCENES: tuple[SceneName, ...] = get_args(SceneName)[:7]  # the eighth is too far away for any scale to show
 
 REFINABLE = ("rotation", "baseline-direction", "focal", "time-offset")
 
@@ -214,7 +214,7 @@ class SynthConfig:
     """Settings of one synthetic capture. The four `*_error*` fields change what `rig.json` says, never what is rendered."""
 
     scene: SceneName = "lego"
-    """which of the seven modelled scenes; all but `room` are objects seen from a hemisphere around them"""
+    """which of the modelled scenes; six are objects seen from a hemisphere, `room` is seen from inside, `plain` from 800 m above"""
     frames: int = 50
     """RGB–thermal pairs"""
     size: int = 800
@@ -250,8 +250,8 @@ class SynthConfig:
 
     def check(self) -> None:
         """Raises `RtgsError` where a field is out of its range."""
-        if self.scene not in SCENES:
-            raise RtgsError(f"scene: no scene named {self.scene!r}; there are {', '.join(SCENES)}")
+        if self.scene not in get_args(SceneName):
+            raise RtgsError(f"scene: no scene named {self.scene!r}; there are {', '.join(get_args(SceneName))}")
         for name, least in (("frames", 1), ("size", 8), ("thermal_size", 8), ("supersampling", 1), ("seed", 0)):
             value = getattr(self, name)
             if value is not None and value < least:

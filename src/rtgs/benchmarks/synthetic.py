@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -20,8 +20,8 @@ from rtgs.benchmarks.curves import Curves, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial, prepare
 from rtgs.benchmarks.tables import write_tables
-from rtgs.benchmarks.variants import ROWS, Variant, groups
-from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, BenchTable, RgbConfig, ScaleConfig, SceneName, SynthConfig, to_json
+from rtgs.benchmarks.variants import FAR, FAR_SCENE, ROWS, Variant, groups
+from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, BenchTable, ScaleConfig, SceneName, SynthConfig, to_json
 from rtgs.progress import Progress
 from rtgs.scale import Objective, ScaleEstimate, estimate_scale
 from rtgs.scale.bracket import flow_per_unit
@@ -73,29 +73,22 @@ def bench_synthetic(out: Path, config: BenchSyntheticConfig, *, progress: Progre
         if progress is not None:
             progress(done, total, text)
 
+    def complete(work: dict[Future[None], str]) -> None:
+        nonlocal done
+        for future in as_completed(work):
+            future.result()
+            done += 1
+            tell(work[future])
+
     tell("RGB models")
-    if not tasks:
-        return write_tables(folder, config)
-    with _pool(config.workers) as pool:
-        pending: dict[Future[None], str | Task] = {}
-        for name in scenes:
-            pending[pool.submit(_prepare, str(folder.scene(name)), scene_config(config, name), config.rgb)] = name
-        try:
-            while pending:
-                finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    work = pending.pop(future)
-                    future.result()
-                    done += 1
-                    if isinstance(work, str):
-                        for task in (t for t in tasks if t.scene == work):
-                            pending[pool.submit(_perform, str(out), config, task)] = task
-                        tell(f"{work}: RGB model")
-                    else:
-                        tell(f"{work.scene}, seed {work.seed}")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    if tasks:
+        with _pool(config.workers) as pool:
+            try:
+                complete({pool.submit(_prepare, str(out), config, name): f"{name}: RGB model" for name in scenes})
+                complete({pool.submit(_perform, str(out), config, t): f"{t.scene}, seed {t.seed}" for t in tasks})
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     return write_tables(folder, config)
 
 
@@ -103,7 +96,10 @@ def tasks_of(config: BenchSyntheticConfig) -> list[Task]:
     """All the work behind a table, seed by seed, so that what is stopped early still has every scene."""
     tasks = []
     for table in config.tables:
-        tasks += [Task(name, k, ROWS[table], _METHODS[table]) for k in range(config.seeds) for name in config.scenes]
+        for seed in range(config.seeds):
+            tasks += [Task(name, seed, ROWS[table], _METHODS[table]) for name in config.scenes]
+            if table == "beyond":
+                tasks.append(Task(FAR_SCENE, seed, (FAR,), _METHODS[table]))
         if table == "1":
             tasks += [Task(name, 0, ROWS[table], (RUN,)) for name in config.scenes]
     return tasks
@@ -137,8 +133,9 @@ def _single_threaded() -> None:
     torch.set_num_threads(1)
 
 
-def _prepare(folder: str, config: SynthConfig, rgb: RgbConfig) -> None:
-    prepare(Path(folder), config, rgb)
+def _prepare(out: str, config: BenchSyntheticConfig, scene: SceneName) -> None:
+    folder = BenchFolder(Path(out), _settings(config))
+    prepare(folder.scene(scene), scene_config(config, scene), config.rgb)
 
 
 def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:

@@ -14,7 +14,7 @@ from rtgs.baselines import INERF_L1, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
 from rtgs.benchmarks.figures import draw_errors
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import scene_facts
-from rtgs.benchmarks.variants import REFERENCE, ROWS, Variant
+from rtgs.benchmarks.variants import FAR, FAR_SCENE, REFERENCE, ROWS, Variant
 from rtgs.config import BenchSyntheticConfig
 from rtgs.scene import HELD_OUT_EVERY
 
@@ -63,7 +63,7 @@ class Summary:
 
 def write_tables(folder: BenchFolder, config: BenchSyntheticConfig) -> list[Path]:
     """Markdown, CSV and figures of the tables asked for, from the records that are there."""
-    records = [r for r in folder.records() if r.scene in config.scenes and r.seed < config.seeds]
+    records = [r for r in folder.records() if r.scene in (*config.scenes, FAR_SCENE) and r.seed < config.seeds]
     written = [_write_csv(folder.path / "trials.csv", Record, records)]
     for table in config.tables:
         if table == "1":
@@ -72,9 +72,10 @@ def write_tables(folder: BenchFolder, config: BenchSyntheticConfig) -> list[Path
             written.append(_write_csv(folder.path / "table1.csv", Summary, summaries))
             written += draw_errors(folder.path, [r for r in records if r.variant == REFERENCE and r.method in TITLES], TITLES)
         else:
-            here = [r for r in records if r.variant in {row.key for row in ROWS[table]} and r.method in _OTHERS]
+            rows = (*ROWS[table], FAR) if table == "beyond" else ROWS[table]
+            here = [r for r in records if r.variant in {row.key for row in rows} and r.method in _OTHERS]
             title = "Table II: sensitivity" if table == "2" else "Beyond the paper"
-            text = rows_table(here, ROWS[table], f"{title}{_where(here, config)}")
+            text = rows_table(here, rows, f"{title}{_where(here, config)}")
         path = folder.path / f"table_{table}.md"
         _write_text(path, text)
         written.append(path)
@@ -133,7 +134,7 @@ def scene_table(folder: BenchFolder, config: BenchSyntheticConfig) -> str:
 
 
 def _where(records: Sequence[Record], config: BenchSyntheticConfig) -> str:
-    scenes, seeds = {r.scene for r in records}, {r.seed for r in records}
+    scenes, seeds = {r.scene for r in records} - {FAR_SCENE}, {r.seed for r in records}
     training = config.frames - len(range(0, config.frames, HELD_OUT_EVERY))
     return (
         f" at {config.size} × {config.size}, {config.frames} pairs of which {training} for training, "

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from rtgs.config import BenchTable, SynthConfig
+from rtgs.config import BenchTable, SceneName, SynthConfig
 
 REFERENCE = "reference"
 
@@ -62,6 +62,9 @@ PERTURBATIONS = (
     Variant("direction_2", "rig baseline direction", "2 %", {"rig_direction_error": 0.02}),
 )
 
+FAR_SCENE: SceneName = "plain"
+FAR = Variant("far", "a plain 800 m away instead")
+
 BEYOND = (
     REFERENCE_ROW,
     Variant("frames_20", "training frames", "20", frames=20),
@@ -71,6 +74,7 @@ BEYOND = (
     Variant("inverted", "thermal contrast inverted", inverted=True),
     Variant("quarter", "thermal resolution", "a quarter", thermal_share=0.25),
 )
+"""Of the object scenes; `FAR` is the last row of the table."""
 
 
 ROWS: dict[BenchTable, tuple[Variant, ...]] = {"1": (REFERENCE_ROW,), "2": PERTURBATIONS, "beyond": BEYOND}

@@ -1,4 +1,4 @@
-"""Synthetic captures with exact truth: seven procedural scenes, ray-cast, seen by a two-camera rig.
+"""Synthetic captures with exact truth: procedural scenes, ray-cast, seen by a two-camera rig.
 
 ```python
 from pathlib import Path

@@ -36,6 +36,7 @@ _OWN_FILE = re.compile(
 
 _OBJECT_FOV_DEG, _ROOM_FOV_DEG = 40.0, 66.0
 _OBJECT_DISTANCE_M = 4.0
+_HEIGHT_M, _SURVEY_M = 800.0, 130.0  # above the plain, and how far the survey goes to each side
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -165,7 +166,7 @@ def true_rig(config: SynthConfig) -> Rig:
     rgb = Camera("PINHOLE", n, n, f * n, f * n, 0.5 * n, 0.5 * n)
     # Off-centre by about a percent, as real ones are.
     thermal = Camera("PINHOLE", m, m, 0.985 * f * m, 0.985 * f * m, 0.508 * m, 0.494 * m)
-    toe_in = 0.0 if config.scene == "room" else 0.9 * config.baseline_m / _OBJECT_DISTANCE_M
+    toe_in = 0.0 if config.scene in ("room", "plain") else 0.9 * config.baseline_m / _OBJECT_DISTANCE_M
     if config.rig_seed is None:
         direction = np.array([0.975, -0.17, 0.14])
         turn = rotation_from_axis_angle(np.radians([-1.1, -math.degrees(toe_in) - 0.4, 1.6]))
@@ -199,7 +200,9 @@ def written_rig(config: SynthConfig, rig: Rig) -> Rig:
 def camera_path(config: SynthConfig, centre: tuple[float, float, float]) -> list[SE3]:
     """`world_from_rgb` of every frame, in metres; objects are seen from around `centre`."""
     rng = _rng(config, "path")
-    return _inside(config.frames, rng) if config.scene == "room" else _around(config.frames, rng, np.array(centre))
+    if config.scene == "room":
+        return _inside(config.frames, rng)
+    return _above(config.frames, rng) if config.scene == "plain" else _around(config.frames, rng, np.array(centre))
 
 
 def _around(count: int, rng: np.random.Generator, centre: NDArray[np.float64]) -> list[SE3]:
@@ -235,6 +238,19 @@ def _inside(count: int, rng: np.random.Generator) -> list[SE3]:
         ahead = np.array([math.cos(look) * math.cos(pitch), math.sin(look) * math.cos(pitch), math.sin(pitch)])
         pose = look_at(eye, eye + ahead)
         poses.append(SE3(pose.rotation @ rotation_from_axis_angle([0, 0, math.radians(rng.normal(0, 2))]), eye))
+    return poses
+
+
+def _above(count: int, rng: np.random.Generator) -> list[SE3]:
+    """A survey in lines, looking down within a few degrees."""
+    rows = max(1, round(math.sqrt(count)))
+    poses = []
+    for i in range(count):
+        row, along = i % rows, (i // rows + 0.5) / math.ceil(count / rows)
+        eye = np.array([2 * along - 1, 2 * (row + 0.5) / rows - 1, 0.0]) * _SURVEY_M
+        eye += [*rng.normal(0, 6, 2), _HEIGHT_M * (1 + rng.normal(0, 0.04))]
+        pose = look_at(eye, [*(eye[:2] + rng.normal(0, 40, 2)), 0.0], up=(0, 1, 0))
+        poses.append(SE3(pose.rotation @ rotation_from_axis_angle([0, 0, math.radians(rng.normal(0, 8))]), eye))
     return poses
 
 
