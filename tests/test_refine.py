@@ -20,8 +20,10 @@ from rtgs.image import GRAY_WEIGHTS
 from rtgs.models import RgbModel
 from rtgs.render import RenderSettings, render
 from rtgs.scale import Objective, ScaleEstimate, estimate_scale
+from rtgs.scale.joint import Joint
 from rtgs.scale.records import Counter
-from rtgs.scale.refine import Joint, Unknown, check_refinable, covariance, noise, positive, unknowns
+from rtgs.scale.refine import covariance, noise, positive
+from rtgs.scale.unknowns import Unknown, check_refinable, unknowns
 from rtgs.scene import CalibrationStd, Rig, Scene
 from rtgs.sh import C0
 from test_scale import RIG, assembled, bumpy_ball, photographs
@@ -237,18 +239,17 @@ def test_time_runs_through_the_neighbours() -> None:
 
 def test_frames_in_no_order_have_no_time() -> None:
     scene, _ = sequence()
-    check_refinable(scene, ("time-offset",))
+    check_refinable(scene, scene.train_frames, ("time-offset",))
     names, poses = list(scene.world_from_rgb), list(scene.world_from_rgb.values())
     order = np.random.default_rng(0).permutation(len(names))
     shuffled = replace(scene, world_from_rgb={n: poses[k] for n, k in zip(names, order, strict=True)})
     with pytest.raises(RtgsError, match=r"time-offset: the camera does not move smoothly .* order of time"):
-        check_refinable(shuffled, ("time-offset",))
+        check_refinable(shuffled, scene.train_frames, ("time-offset",))
     apart = replace(scene, world_from_rgb=dict(list(scene.world_from_rgb.items())[::2]))
     with pytest.raises(RtgsError, match="fewer than three frames"):
-        check_refinable(apart, ("time-offset",))
-    few = replace(scene, world_from_rgb=dict(list(scene.world_from_rgb.items())[:4]))
-    with pytest.raises(RtgsError, match="3 training frames"):
-        check_refinable(few, ("focal",))
+        check_refinable(apart, scene.train_frames, ("time-offset",))
+    with pytest.raises(RtgsError, match="3 training frames are used"):
+        estimate_scale(scene, sequence()[1], ScaleConfig(max_frames=3, refine=("focal",)))
 
 
 # --- settings and records ----------------------------------------------------------------------------

@@ -18,8 +18,9 @@ from rtgs.scale.calibration import calibration_std_log
 from rtgs.scale.interval import LocalCurves, interval, widened, window
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
-from rtgs.scale.refine import check_refinable, refine
+from rtgs.scale.refine import refine
 from rtgs.scale.search import EPSILON_FRAMES, UNLIKELY, Pictures, Refined, Search, curves_of, local_minima, significance
+from rtgs.scale.unknowns import check_refinable
 from rtgs.scene import Frame, Scene
 
 _WIDEST = 0.5  # of the interval's half-width in ln s: beyond it a number would only mislead
@@ -51,12 +52,12 @@ def estimate_scale(
     train = scene.train_frames
     if not train:
         raise RtgsError("scale: the scene has no training frame (every registered frame is held out).")
-    check_refinable(scene, config.refine)
     counter = Counter(progress)
     flow = flow_per_unit(scene, model.gaussians, model.settings)
     limits = bracket(flow, scene.rig.thermal.width)
     chosen = np.unique(np.linspace(0, len(train) - 1, min(config.max_frames, len(train))).round().astype(int))
     frames = [train[i] for i in chosen]
+    check_refinable(scene, frames, config.refine)
     solve = _by_adam if config.solver == "adam" else _globally
     estimate = solve(scene, model, config, frames, limits, counter)
     return refine(scene, model, config, frames, estimate, counter, widest=_WIDEST) if config.refine else estimate

@@ -10,31 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
-from rtgs.errors import RtgsError
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
 from rtgs.models import RgbModel
-from rtgs.render import Direction
-from rtgs.scale.calibration import Change, freedoms
 from rtgs.scale.interval import LocalCurves, block_length, small_sample_factor
+from rtgs.scale.joint import Joint, Point, Vector
 from rtgs.scale.objective import Objective
-from rtgs.scale.records import Counter, Freedom, Refinement, ScaleEstimate, Scan, Status
+from rtgs.scale.records import Counter, Refinement, ScaleEstimate, Scan
 from rtgs.scale.search import Pictures, halvings
-from rtgs.scene import CalibrationStd, Frame, Rig, Scene
+from rtgs.scale.unknowns import stated, unknowns
+from rtgs.scene import Frame, Scene
 
-Vector = NDArray[np.float64]
-
-# Where rig.json does not say. A thermal calibration with a heated board reaches 0.1° and 1 % with care; a data sheet's focal length or a
-# baseline read off a drawing is worse. Free-running cameras whose nearest frames are paired differ by up to half an interval to either
-# side, evenly: standard deviation 1/√12.
-DEFAULT_STD = CalibrationStd(rotation_rad=math.radians(0.3), baseline_direction=0.02, thermal_focal=0.02)
-TIME_OFFSET_STD = 1 / math.sqrt(12)
-
-_DIFFERENCE = 1e-4  # of a prior's standard deviation, for the poses' derivatives
 _HESSIAN_PIXELS = 0.5
 _HESSIAN_FRAMES = 16
 _MOST_STEPS = 6
@@ -42,11 +29,6 @@ _MOST_HESSIANS = 3
 _LONGEST = 2.0  # pixels of the size compared
 _TOLERANCE = 0.02
 _MODEL_PIXELS = 0.1
-_ROUGH_STEP = 0.6  # of a frame interval: a pose that its neighbours' middle misses by more says nothing about the time in between
-_POINTS = 2000
-_FEWEST = 4  # training frames
-_STILL = 1e-3  # pixels per standard deviation: less does not count as motion
-_DECIDED = 0.9  # of the prior's standard deviation
 
 
 def refine(
@@ -86,206 +68,25 @@ def refine(
     curves = LocalCurves(replace(pictures, scene=refinement.apply(scene)).objective(), counter)
     width = float(np.clip(2 * std_log, 0.1 / found.pixels[0], 3 / found.pixels[0]))
     curves.extend(range(len(frames)), [theta + width * node for node in (-1.0, -0.5, 0.0, 0.5, 1.0)])
-    status: Status = estimate.status
-    reason = estimate.reason
+    estimate = replace(
+        estimate,
+        std_log=std_log,
+        ci95=(math.exp(theta - 1.96 * std_log), math.exp(theta + 1.96 * std_log)),
+        refinement=refinement,
+    )
     if 1.96 * std_log > widest:
-        status, reason = (
-            "unobservable",
-            (
-                f"with the calibration refined, the scale is left open by a factor of {math.exp(1.96 * std_log):.2g} to either side."
-            ),
+        left_open = (
+            f"with the calibration refined, the scale is left open by a factor of {math.exp(1.96 * std_log):.2g} to either side."
         )
+        estimate = replace(estimate, status="unobservable", reason=left_open, std_log=None, ci95=None)
     return replace(
         estimate,
         sfm_per_metre=math.exp(theta),
-        std_log=std_log,
-        ci95=(math.exp(theta - 1.96 * std_log), math.exp(theta + 1.96 * std_log)),
-        status=status,
-        reason=reason,
         frames=[f.name for f in frames],
         local=Scan.of(np.array(curves.thetas), curves.values(), [f.name for f in frames]),
         calibration_std_log=None if std is None else calibration,
         renders=estimate.renders + pictures.renders_in_all() + len(frames) * len(curves.thetas),
-        refinement=refinement,
     )
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """A number that is refined beside ln s.
-
-    Attributes:
-        name, unit: for people. per_unit: of the unit, in one of the change's amount.
-        change: (rig, amount) → rig. std: the prior's, in amounts.
-    """
-
-    name: str
-    unit: str
-    per_unit: float
-    change: Change
-    std: float
-
-    def posterior(self, u: float, std: float) -> Freedom:
-        """In the unit for people, from u (in standard deviations of the prior) and the amount's standard deviation."""
-        mean, after, before = (value * self.per_unit for value in (u * self.std, std, self.std))
-        return Freedom(self.name, self.unit, mean, after, before, bool(after <= _DECIDED * before))
-
-
-def unknowns(rig: Rig, names: Sequence[str]) -> list[Unknown]:
-    """What `ScaleConfig.refine` names, with standard deviations from the rig, or the defaults where it states none (or zero)."""
-    given = rig.calibration_std or CalibrationStd()
-    spread = {k: getattr(given, k) or getattr(DEFAULT_STD, k) for k in ("rotation_rad", "baseline_direction", "thermal_focal")}
-    ways, degrees = freedoms(rig, CalibrationStd(**spread)), math.degrees(1.0)
-    table = [("rotation", f"rotation about {axis}", "°", degrees, way) for axis, way in zip("xyz", ways[:3], strict=True)]
-    table += [("baseline-direction", f"baseline direction, {i}", "%", 100.0, w) for i, w in zip("ab", ways[3:5], strict=True)]
-    table += [("focal", "thermal focal length", "%", 100.0, ways[5])]
-    table += [("time-offset", "time offset", "frame intervals", 1.0, (_later, TIME_OFFSET_STD))]
-    return [Unknown(name, unit, per, change, std) for key, name, unit, per, (change, std) in table if key in names]
-
-
-def stated(rig: Rig, besides: Sequence[str]) -> list[Unknown]:
-    """What the rig says is uncertain and is not refined: held, and its uncertainty passed on to the scale."""
-    std = rig.calibration_std or CalibrationStd()
-    fields = {"rotation": std.rotation_rad, "baseline-direction": std.baseline_direction, "focal": std.thermal_focal}
-    return unknowns(rig, [name for name, value in fields.items() if value > 0 and name not in besides])
-
-
-def _later(rig: Rig, amount: float) -> Rig:
-    return replace(rig, time_offset=rig.time_offset + amount)
-
-
-def check_refinable(scene: Scene, names: Sequence[str]) -> None:
-    """Before long work: is there enough to refine from? A time offset needs frames that follow each other.
-
-    Raises:
-        RtgsError: too few training frames; or, for a time offset, too few frames with both neighbours, or camera positions that do not
-            run smoothly in name order.
-    """
-    if names and len(scene.train_frames) < _FEWEST:
-        raise RtgsError(
-            f"scale.refine: {len(scene.train_frames)} training frames; the calibration is refined from {_FEWEST} or more. Leave it out."
-        )
-    if "time-offset" not in names:
-        return
-    rough = []
-    for name in scene.world_from_rgb:
-        before, after = scene.neighbours(name)
-        if before is not None and after is not None:
-            pose = scene.world_from_rgb[name]
-            step = float(np.linalg.norm(after.translation - before.translation)) / 2
-            rough.append(
-                float(np.linalg.norm((before.translation + after.translation) / 2 - pose.translation) / max(step, 1e-12))
-            )
-    if len(rough) < 3:
-        raise RtgsError(
-            "scale.refine time-offset: fewer than three frames have both neighbours registered; it needs a sequence in the order of "
-            "the frames' names. Leave time-offset out."
-        )
-    if np.median(rough) > _ROUGH_STEP:
-        raise RtgsError(
-            f"scale.refine time-offset: the camera does not move smoothly from frame to frame in the order of their names (a frame "
-            f"lies {np.median(rough):.2g} steps away from the middle of its neighbours), so that nothing is known about the time in "
-            "between. Name the files in the order of time, or leave time-offset out."
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """What the frames say at one place x = (θ, u).
-
-    Attributes:
-        losses: `[F]`. gradients: `[F, K]`, of each frame. gauss_newton: `[K, K]`, mean over frames.
-    """
-
-    x: Vector
-    losses: Vector
-    gradients: Vector
-    gauss_newton: Vector
-
-    @property
-    def gradient(self) -> Vector:
-        return self.gradients.mean(axis=0)
-
-
-class Joint:
-    """L(θ, u) of a scene's frames: u are the unknowns' amounts in standard deviations of their priors."""
-
-    def __init__(self, scene: Scene, found: Sequence[Unknown], counter: Counter) -> None:
-        self.scene, self.unknowns, self.counter = scene, tuple(found), counter
-        self.size = 1 + len(found)
-        self.prior = np.diag([0.0, *np.ones(len(found))])  # P: precision; nothing is known about θ
-
-    def rig(self, x: Vector) -> Rig:
-        rig = self.scene.rig
-        for unknown, u in zip(self.unknowns, x[1:], strict=True):
-            rig = unknown.change(rig, float(u) * unknown.std)
-        return rig
-
-    def scene_at(self, x: Vector) -> Scene:
-        return replace(self.scene, capture=replace(self.scene.capture, rig=self.rig(x)))
-
-    def evaluate(self, objective: Objective, indices: Sequence[int], x: Vector) -> Point:
-        """One picture with its tangents a frame."""
-        here, s = self.scene_at(x), math.exp(x[0])
-        ends = [[self.scene_at(x + sign * _DIFFERENCE * e) for sign in (-1, 1)] for e in np.eye(self.size)]
-        scales = [[math.exp(x[0] + sign * _DIFFERENCE * e[0]) for sign in (-1, 1)] for e in np.eye(self.size)]
-        found = []
-        for i in indices:
-            name = objective.frames[i].name
-            pose = here.thermal_from_world(name, s)
-            ways = [_way(pair, at, name, pose) for pair, at in zip(ends, scales, strict=True)]
-            found.append(objective.products_from(i, here.rig.thermal, pose, ways))
-            self.counter(f"joint refinement, s = {s:.5g}")
-        return Point(
-            x,
-            np.array([p.loss for p in found]),
-            np.array([p.slope for p in found]),
-            np.mean([p.curvature for p in found], axis=0),
-        )
-
-    def pixels(self, x: Vector, gaussians: Gaussians) -> Vector:
-        """`[K]`: how far the picture moves per unit of each of x, in thermal pixels (90th percentile over the model's points)."""
-        names = [f.name for f in self.scene.train_frames]
-        names = names[:: -(-len(names) // 6)]
-        means = gaussians.means.detach().to(torch.float64).cpu().numpy()
-        points = means[np.random.default_rng(0).permutation(len(means))[:_POINTS]]
-        moved: list[list[Vector]] = [[] for _ in range(self.size)]
-        for name in names:
-            before = _project(self.scene_at(x), name, x[0], points)
-            seen = np.isfinite(before).all(axis=1)
-            for k, e in enumerate(np.eye(self.size)):
-                there = x + _DIFFERENCE * e
-                moved[k].append((_project(self.scene_at(there), name, there[0], points) - before)[seen] / _DIFFERENCE)
-        found = [float(np.nanpercentile(np.linalg.norm(np.concatenate(m), axis=1), 90)) for m in moved]
-        return np.maximum(np.nan_to_num(found), _STILL)
-
-    def hessian(self, objective: Objective, indices: Sequence[int], x: Vector, steps: Vector) -> Vector:
-        """`[K, K]`: of the mean loss, by central differences of its gradient."""
-        rows = []
-        for e, h in zip(np.eye(self.size), steps, strict=True):
-            after, before = (self.evaluate(objective, indices, x + sign * h * e).gradient for sign in (1, -1))
-            rows.append((after - before) / (2 * h))
-        matrix = np.array(rows)
-        return (matrix + matrix.T) / 2
-
-
-def _way(ends: Sequence[Scene], scales: Sequence[float], name: str, pose: SE3) -> Direction:
-    before, after = (scene.thermal_from_world(name, s) for scene, s in zip(ends, scales, strict=True))
-    derivative = SE3(
-        (after.rotation - before.rotation) / (2 * _DIFFERENCE), (after.translation - before.translation) / (2 * _DIFFERENCE)
-    )
-    lens = {k: (getattr(ends[1].rig.thermal, k) - getattr(ends[0].rig.thermal, k)) / (2 * _DIFFERENCE) for k in ("fl_x", "fl_y")}
-    return replace(Direction.between(derivative, pose), **lens)
-
-
-def _project(scene: Scene, name: str, theta: float, points: Vector) -> Vector:
-    """`[P, 2]` pixels; NaN outside of the picture."""
-    camera = scene.rig.thermal
-    x, y, z = scene.thermal_from_world(name, math.exp(theta)).apply(points).T
-    with np.errstate(all="ignore"):
-        uv = np.stack([camera.fl_x * x / z + camera.cx, camera.fl_y * y / z + camera.cy], axis=1)
-    inside = (z > 0) & (np.abs(uv - [camera.width / 2, camera.height / 2]) < [camera.width / 2, camera.height / 2]).all(axis=1)
-    return np.where(inside[:, None], uv, np.nan)
 
 
 def noise(gradients: Vector) -> Vector:
@@ -401,7 +202,7 @@ def _descend(
         slope = here.gradient + weight * joint.prior @ here.x
         step = np.zeros(joint.size)
         step[free] = -np.linalg.solve(curvature, slope[free])
-        step *= min(1.0, _LONGEST / float(np.abs(step * pixels).max()))
+        step *= min(1.0, _LONGEST / max(float(np.abs(step * pixels).max()), 1e-12))
         there = joint.evaluate(objective, indices, here.x + step)
         while merit(there) >= merit(here) and np.abs(step * pixels).max() > _TOLERANCE:
             step = step / 3
