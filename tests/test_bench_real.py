@@ -25,16 +25,19 @@ from rtgs.benchmarks import real
 from rtgs.benchmarks.real import compare
 from rtgs.benchmarks.real_table import Row, common_mask
 from rtgs.camera import Camera
+from rtgs.cli import main
 from rtgs.config import BenchRealConfig, ManualConfig
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, rotation_from_axis_angle
 from rtgs.models import RgbModel
+from rtgs.pipeline import RunFolder
 from rtgs.progress import Progress
 from rtgs.render import RenderSettings, render
 from rtgs.scale import ScaleEstimate
 from rtgs.scale.records import History, Scan
 from rtgs.scene import Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.synthetic import SynthConfig, write_capture
 
 TRUTH = 0.4  # SfM units per metre
 PLANE_M = 1.0
@@ -510,3 +513,35 @@ def test_bad_settings_are_refused_before_any_fit(
     monkeypatch.setattr(real, "fit_thermal", lambda *a, **k: pytest.fail("a fit has begun"))
     with pytest.raises(RtgsError, match=said):
         compare(*plane, estimate(TRUTH), tmp_path, config, Quiet())
+
+
+def test_of_a_capture_by_one_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A capture is run to OUT/run; a run that is there keeps its settings; the table has the run's scale beside the measured one."""
+    monkeypatch.setenv("RTGS_LPIPS_WEIGHTS", str(tmp_path))
+    capture, out = tmp_path / "capture", tmp_path / "out"
+    truth = write_capture(capture, SynthConfig(scene="lego", frames=10, size=48, supersampling=1, seed=3, thermal_clean=False))
+    main(["sfm", str(capture), "--out", str(out / "run")])
+    main(["rgb", str(out / "run"), "--steps", "40", "--random-points", "250", "--densify.max-gaussians", "400"])
+    main(["scale", str(out / "run"), "--solver", "adam", "--steps", "5", "--scan-samples", "25"])
+    standing = (out / "run" / "stages.json").read_bytes()
+    ends = [truth.world_from_rgb[name].translation for name in ("frame_001", "frame_003")]
+    metres = float(np.linalg.norm(ends[0] - ends[1]))
+    main(
+        [
+            "bench",
+            "real",
+            str(capture),
+            "--out",
+            str(out),
+            "--manual.frames",
+            "frame_001",
+            "frame_003",
+            "--manual.metres",
+            f"{metres}",
+        ]
+    )
+    assert (out / "run" / "stages.json").read_bytes() == standing
+    rows = table(out)
+    assert float(rows["manual"]["sfm_per_metre"]) == pytest.approx(truth.sfm_per_metre, rel=1e-5)
+    assert float(rows["ours"]["sfm_per_metre"]) == pytest.approx(RunFolder(out / "run").read_scale().sfm_per_metre, rel=1e-5)
+    assert "lpips_alex" not in rows["ours"] and "No LPIPS" in (out / "table3.md").read_text(encoding="utf-8")

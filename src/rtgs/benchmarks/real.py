@@ -24,7 +24,7 @@ from rtgs.baselines.metric_poses import ABSENT as MAST3R_ABSENT
 from rtgs.baselines.metric_poses import load_mast3r, scale_from_pairs
 from rtgs.baselines.planar import PlanarScene
 from rtgs.benchmarks.real_table import Row, Scored, score, write_results
-from rtgs.config import BenchRealConfig, RunConfig, is_run, to_json
+from rtgs.config import BenchRealConfig, RunConfig, is_run, read_config, to_json
 from rtgs.errors import RtgsError
 from rtgs.fit_thermal import fit_thermal
 from rtgs.io.colmap import read_scene
@@ -39,7 +39,7 @@ Images = dict[str, NDArray[np.float32]]
 
 
 def bench_real(source: Path, out: Path, config: BenchRealConfig, reporter: Reporter) -> list[Path]:
-    """Table III of a run, or of a capture, which is run first (to `out`/run, with the defaults).
+    """Table III of a run, or of a capture, which is run first (to `out`/run: with the defaults, or its own settings if it is there).
 
     A row that stands from an earlier call with the same inputs is not made again.
 
@@ -53,7 +53,8 @@ def bench_real(source: Path, out: Path, config: BenchRealConfig, reporter: Repor
     if is_run(source):
         pipeline = Pipeline(RunFolder(source), reporter)
     else:
-        pipeline = Pipeline.start(source, out / "run", RunConfig(), reporter)
+        own = out / "run"
+        pipeline = Pipeline.start(source, own, read_config(own)[1] if is_run(own) else RunConfig(), reporter)
     _check_names(config, pipeline.capture)
     pipeline.run("scale")
     folder = pipeline.folder
