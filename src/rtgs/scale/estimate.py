@@ -15,7 +15,7 @@ from rtgs.progress import Progress
 from rtgs.scale.adam import adam
 from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log
-from rtgs.scale.interval import LocalCurves, interval, widened, window
+from rtgs.scale.interval import MODEL_PIXELS, LocalCurves, interval, widened, window
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
 from rtgs.scale.refine import refine
@@ -171,7 +171,8 @@ def _result(
     std_log, ci95, reason, std = None, None, doubt, scene.rig.calibration_std
     calibration = None if std is None else calibration_std_log(objective, scene.rig, found.theta, std, local.frames)
     if len(frames) > 1:
-        std_log, ci95 = interval(grid, curves, found.theta, calibration or 0.0, config.seed)
+        model = MODEL_PIXELS * 2 * limits[0] / math.exp(found.theta)
+        std_log, ci95 = interval(grid, curves, found.theta, math.hypot(model, calibration or 0.0), config.seed)
         if not reason and not closed:
             reason = (
                 f"the loss is flat: between {math.exp(grid[0]):.4g} and {math.exp(grid[-1]):.4g} SfM units per metre, no scale stands "

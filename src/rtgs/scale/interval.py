@@ -16,6 +16,8 @@ _RESAMPLES = 1000
 _GRID = 257
 _MOST_DOUBLINGS = 6
 _MOST_SETTLINGS = 4
+MODEL_PIXELS = 0.05
+"""Edges of a render lie beside those of the photograph, in many frames alike: by how much, as `benchmarks/scale_coverage.py` has it."""
 
 
 class LocalCurves:
@@ -159,22 +161,22 @@ def bootstrap(
 
 
 def interval(
-    thetas: NDArray[np.float64], curves: NDArray[np.float64], theta: float, calibration_std_log: float, seed: int
+    thetas: NDArray[np.float64], curves: NDArray[np.float64], theta: float, common_std_log: float, seed: int
 ) -> tuple[float, tuple[float, float]]:
-    """Standard deviation of ln s and the 95 % interval of s: the resampled minima, small samples and the calibration allowed for.
+    """Standard deviation of ln s and its 95 % interval: the resampled minima, widened for small samples and for what all frames share.
 
     Args:
         theta: the answer, which the interval contains in any case. The resamples' scatter about their median is put around the mean
             curve's minimum, the same place for a solver that found it.
-        calibration_std_log: of ln s, independent of the frames.
+        common_std_log: of ln s, what all frames have alike: no resampling of them shows it.
     """
     block = block_length(len(curves))
     minima = resampled_minima(thetas, curves, seed, block)
     factor = small_sample_factor(len(curves), block)
     spread = (minima - np.median(minima)) * factor
-    noise = np.random.default_rng(seed + 1).normal(size=len(spread)) * calibration_std_log
+    noise = np.random.default_rng(seed + 1).normal(size=len(spread)) * common_std_log
     lo, hi = np.percentile(spread + noise, [2.5, 97.5])
-    std = math.hypot(float(minima.std()) * factor, calibration_std_log)
+    std = math.hypot(float(minima.std()) * factor, common_std_log)
     centre = curve_minimum(thetas, curves.mean(axis=0))
     return std, (math.exp(min(centre + lo, theta)), math.exp(max(centre + hi, theta)))
 
