@@ -21,4 +21,4 @@ class L1:
         return float(np.vdot(np.abs(difference, out=difference), self._weights)), float(slope)
 
 
-INERF_L1 = Rival("inerf_l1", "iNeRF (ℓ1)", L1, smooth=True)
+INERF_L1 = Rival("inerf_l1", "iNeRF (ℓ1)", L1, smooth_px=2.0)

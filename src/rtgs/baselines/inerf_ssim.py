@@ -22,4 +22,4 @@ class Ssim:
         return 1.0 - value, -float(np.vdot(gradient[..., 0], tangent))
 
 
-INERF_SSIM = Rival("inerf_ssim", "iNeRF (SSIM)", Ssim, smooth=True)
+INERF_SSIM = Rival("inerf_ssim", "iNeRF (SSIM)", Ssim, smooth_px=2.0)

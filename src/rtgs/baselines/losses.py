@@ -30,13 +30,17 @@ class Rival:
     Attributes:
         key: in file names. title: in tables.
         loss: prepares the loss against a thermal image.
-        smooth: whether it changes slowly along θ: over pixels of flow, not fractions of one.
+        smooth_px: pixels of flow over which its slope along θ changes hardly; None where that is noisy at any distance.
     """
 
     key: str
     title: str
     loss: LossOf
-    smooth: bool = False
+    smooth_px: float | None = None
+
+    @property
+    def smooth(self) -> bool:
+        return self.smooth_px is not None
 
     def objective(
         self, pictures: Objective, thermal: Mapping[str, NDArray[np.float32]], mask: NDArray[np.bool_]

@@ -1,35 +1,39 @@
 """Slopes of losses over the scale, rendered where a solver comes by, and a solver replayed on them.
 
 In one dimension the loss curve *is* the problem: one picture with its tangent at a scale gives every loss, of every perturbation of the
-thermal images that leaves the cameras alone, its slope there. A full-batch run of Adam on slopes interpolated between such nodes is the
-run itself but for the error of that.
+thermal images that leaves the cameras alone, its slope there. Adam sees nothing but slopes, so a run of it can be replayed on slopes from
+renders that other runs left behind. Two kinds of loss need two ways.
 
-**Not by cubics.** A Hermite curve through values and slopes would have other slopes than those that Adam sees, however fine the nodes: a
-render jumps where a Gaussian falls below the cut-off or two change places, values contain these jumps and slopes do not.
+**Smooth losses** are interpolated linearly between nodes of a lattice; where a run settles, nodes are added until it stays.
 
-**Smoothed.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render. The
-slope of the mean loss then carries noise that is new every 0.02 % of s, which a run averages over its steps but an interpolation would
-keep: so where a run settles there are eight nodes for one, and a line is fitted through those in reach.
+**Noisy losses.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render: the
+slope of the mean loss carries noise that is new every 0.02 % of s, often larger than the slope itself. A run averages it over its steps,
+an interpolation would freeze it and so invent minima. Such a run therefore renders at each of its steps, except where enough earlier
+renders lie close by on both sides: there a line through them has less noise than one more render would have.
+
+Cubics through values and slopes (Hermite) will not do for either: a render jumps where a Gaussian falls below the cut-off or two change
+places, values contain these jumps and slopes do not, so such a curve has other slopes than those that Adam sees, however fine the nodes.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.baselines import ImageLoss
+from rtgs.baselines import ImageLoss, Rival
 from rtgs.config import ScaleConfig
 from rtgs.scale import History, Objective, adam
 
-DENSER = 8  # nodes for one where a run settles
-SMOOTH_STRIDE = 4  # one node for so many where the loss is smooth
-_LAST_STEPS = 40  # a run that moves further than a node's distance in these has not settled
-_MOST_ROUNDS = 5
+REACH_PX = 0.25  # of flow: renders of a noisy loss within it stand for one more
+ENOUGH = 16  # if they are so many
+_SETTLED = 2e-5  # in θ
+_MOST_ROUNDS = 6
 
 
 class Curves:
@@ -37,48 +41,59 @@ class Curves:
 
     Args:
         pictures: renders the frames.
-        losses: key → one loss a frame, in the order of `pictures.frames`.
-        spacing: of the nodes, in `sfm_per_metre`.
+        losses: key → (rival, one loss a frame in the order of `pictures.frames`).
+        pixel: what moves the pictures by about a pixel, in `sfm_per_metre`.
     """
 
-    def __init__(self, pictures: Objective, losses: Mapping[str, Sequence[ImageLoss]], spacing: float) -> None:
-        self.spacing = spacing
+    def __init__(self, pictures: Objective, losses: Mapping[str, tuple[Rival, Sequence[ImageLoss]]], pixel: float) -> None:
+        self.pixel, self.renders = pixel, 0
         self._pictures, self._losses = pictures, losses
-        self._nodes: dict[int, dict[str, NDArray[np.float64]]] = {}
-        self._render_s, self._loss_s = 0.0, dict.fromkeys(losses, 0.0)
+        self._found: dict[str, dict[float, NDArray[np.float64]]] = {key: {} for key in losses}
+        self._places: dict[str, list[float]] = {key: [] for key in losses}
+        self._render_s = 0.0
+        self._loss_s = dict.fromkeys(losses, (0, 0.0))
 
-    @property
-    def renders(self) -> int:
-        return len(self._nodes) * len(self._pictures.frames)
+    def rival(self, key: str) -> Rival:
+        return self._losses[key][0]
 
     def seconds_each(self, key: str) -> float:
         """Processor seconds of one picture with its tangent, and of one loss of it."""
-        return (self._render_s + self._loss_s[key]) / max(self.renders, 1)
+        count, seconds = self._loss_s[key]
+        return self._render_s / max(self.renders, 1) + seconds / max(count, 1)
 
-    def node(self, index: int, key: str) -> NDArray[np.float64]:
-        """`[F, 2]`: losses and slopes of the frames at s = index · spacing / `DENSER`, index at least 1."""
-        if index not in self._nodes:
-            self._nodes[index] = self._render(math.log(index * self.spacing / DENSER))
-        return self._nodes[index][key]
+    def node(self, s: float, key: str) -> NDArray[np.float64]:
+        """`[F, 2]`: losses and slopes of the frames at s. A noisy loss has only noisy ones evaluated beside it."""
+        if s not in self._found[key]:
+            self._render(s, [k for k, (rival, _) in self._losses.items() if not (rival.smooth and not self.rival(key).smooth)])
+        return self._found[key][s]
 
-    def there(self, low: float, high: float) -> list[int]:
-        """Indices of the nodes there are with low < s < high."""
-        unit = self.spacing / DENSER
-        return [
-            k for k in range(math.floor(low / unit), math.ceil(high / unit) + 1) if k in self._nodes and low < k * unit < high
-        ]
+    def there(self, key: str, low: float, high: float) -> list[float]:
+        """The nodes of a loss with low < s < high, rising."""
+        places = self._places[key]
+        return places[bisect_right(places, low) : bisect_left(places, high)]
 
-    def _render(self, theta: float) -> dict[str, NDArray[np.float64]]:
-        found = {key: np.empty((len(self._pictures.frames), 2)) for key in self._losses}
+    def around(self, key: str, s: float) -> tuple[float | None, float | None]:
+        """The next nodes of a loss: the last at or below s, the first above."""
+        places = self._places[key]
+        k = bisect_right(places, s)
+        return places[k - 1] if k else None, places[k] if k < len(places) else None
+
+    def _render(self, s: float, keys: Sequence[str]) -> None:
+        keys = [key for key in keys if s not in self._found[key]]
+        found = {key: np.empty((len(self._pictures.frames), 2)) for key in keys}
         for i in range(len(self._pictures.frames)):
             started = time.process_time()
-            gray, tangent = self._pictures.picture(i, theta)
+            gray, tangent = self._pictures.picture(i, math.log(s))
             self._render_s += time.process_time() - started
-            for key, losses in self._losses.items():
+            self.renders += 1
+            for key in keys:
                 started = time.process_time()
-                found[key][i] = losses[i](gray, tangent)
-                self._loss_s[key] += time.process_time() - started
-        return found
+                found[key][i] = self._losses[key][1][i](gray, tangent)
+                count, seconds = self._loss_s[key]
+                self._loss_s[key] = count + 1, seconds + time.process_time() - started
+        for key in keys:
+            self._found[key][s] = found[key]
+            insort(self._places[key], s)
 
 
 @dataclass(frozen=True)
@@ -88,64 +103,59 @@ class _Mean:
     curves: Curves
     key: str
     chosen: Sequence[int] | None
-    stride: int = 1
     frames: Sequence[str] = ("mean",)
-    _means: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    _means: dict[float, NDArray[np.float64]] = field(default_factory=dict)
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
-        """By a line or parabola fitted to the nodes within a spacing, weights falling linearly to zero: two nodes are interpolated."""
-        s, spacing = math.exp(theta), self.curves.spacing
-        s = max(s, spacing)  # below the first node: as there
-        near = self.curves.there(s - spacing, s + spacing)
-        unit = spacing / DENSER
-        if self.stride == 1 or not near or not near[0] * unit <= s <= near[-1] * unit:
-            spacing *= self.stride
-            k = math.floor(s / spacing)
-            for edge in (k, k + 1):
-                self.curves.node(max(1, edge * self.stride) * DENSER, self.key)
-            near = self.curves.there(s - spacing, s + spacing)
-        apart = np.array([j * unit - s for j in near])
-        values = np.array([self._mean(j) for j in near])
-        weights = np.sqrt(1.0 - np.abs(apart) / spacing)
-        # A parabola where there are nodes for one; at its own place it is its constant term.
-        powers = np.vander(apart / spacing, 3 if len(near) > 4 else 2, increasing=True)
-        (loss, slope), *_ = np.linalg.lstsq(powers * weights[:, None], values * weights[:, None], rcond=None)[0]
-        return float(loss), float(slope)
+        smooth_px = self.curves.rival(self.key).smooth_px
+        found = (
+            self._noisy(math.exp(theta)) if smooth_px is None else self._smooth(math.exp(theta), smooth_px * self.curves.pixel)
+        )
+        return float(found[0]), float(found[1])
 
-    def densify(self, theta: float) -> bool:
-        """Have all nodes within a spacing of θ; whether any was missing."""
-        before = self.curves.renders
-        middle = round(math.exp(theta) / self.curves.spacing * DENSER)
-        for j in range(max(1, middle - DENSER), middle + DENSER + 1):
-            self.curves.node(j, self.key)
-        return self.curves.renders > before
+    def mean(self, s: float) -> NDArray[np.float64]:
+        """`[2]`: loss and slope at a node."""
+        if s not in self._means:
+            found = self.curves.node(s, self.key)
+            self._means[s] = (found if self.chosen is None else found[list(self.chosen)]).mean(axis=0)
+        return self._means[s]
 
-    def _mean(self, node: int) -> NDArray[np.float64]:
-        if node not in self._means:
-            found = self.curves.node(node, self.key)
-            self._means[node] = (found if self.chosen is None else found[list(self.chosen)]).mean(axis=0)
-        return self._means[node]
+    def _smooth(self, s: float, spacing: float) -> NDArray[np.float64]:
+        s = max(s, spacing)  # below the lattice: as at its first node
+        left, right = self.curves.around(self.key, s)
+        if left is None or right is None or right - left > 1.001 * spacing:
+            k = max(1, math.floor(s / spacing))
+            self.mean(k * spacing), self.mean((k + 1) * spacing)
+            left, right = self.curves.around(self.key, s)
+        assert left is not None and right is not None
+        share = (s - left) / (right - left)
+        return (1.0 - share) * self.mean(left) + share * self.mean(right)
+
+    def _noisy(self, s: float) -> NDArray[np.float64]:
+        reach = REACH_PX * self.curves.pixel
+        near = self.curves.there(self.key, s - reach, s + reach)
+        if len(near) < ENOUGH or not near[0] < s < near[-1]:
+            return self.mean(s)
+        apart = (np.array(near) - s) / reach
+        weights = np.sqrt(1.0 - np.abs(apart))[:, None]
+        powers = np.vander(apart, 2, increasing=True)
+        values = np.array([self.mean(place) for place in near])
+        return np.asarray(np.linalg.lstsq(powers * weights, values * weights, rcond=None)[0][0])
 
 
 def replay(
-    curves: Curves,
-    key: str,
-    theta: float,
-    config: ScaleConfig,
-    frames: Sequence[int] | None = None,
-    *,
-    smooth: bool = False,
+    curves: Curves, key: str, theta: float, config: ScaleConfig, frames: Sequence[int] | None = None
 ) -> tuple[float, History]:
     """Adam (`rtgs.scale.adam`, full batches) from θ: what it would have come to, had it rendered at every step.
 
     Args:
         frames: indices; all when None.
-        smooth: fewer nodes do.
     """
+    mean, before = _Mean(curves, key, frames), math.inf
     for _ in range(_MOST_ROUNDS):
-        mean = _Mean(curves, key, frames, SMOOTH_STRIDE if smooth else 1)
         found, history = adam(mean, theta, config)
-        on_the_way = abs(math.exp(found) - history.sfm_per_metre[-_LAST_STEPS:][0]) > curves.spacing
-        if on_the_way or not mean.densify(found):
+        if not curves.rival(key).smooth or abs(found - before) < _SETTLED:
             break
+        before = found
+        mean.mean(math.exp(found))
     return found, history

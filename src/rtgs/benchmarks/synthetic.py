@@ -29,7 +29,7 @@ from rtgs.scale.objective import thermal_range
 from rtgs.scene import Frame, Scene
 
 PAPER = ScaleConfig(solver="adam")  # 200 steps at 5e-3, all frames
-NODE_SPACING_PX, NODE_SPACING_SHARE = 0.5, 0.015  # of flow (its 90th percentile), and of s: the less of both
+WIDEST_PIXEL = 0.03  # of s: what stands for a pixel of flow where s hardly flows
 SETTLED_SHARE = 0.005
 RUN = f"{NGF_PYRAMID.key}_run"  # the paper's Adam as it is, to check its replay
 OWN = {own.key: own for own in (OURS, OURS_REFINED)}
@@ -213,15 +213,15 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
         epsilon=PAPER_EPSILON,
     )
     flow = flow_per_unit(scene, trial.model.gaussians, trial.model.settings)
-    spacing = min(NODE_SPACING_PX / float(np.percentile(flow, 90)), NODE_SPACING_SHARE * trial.truth)
+    pixel = min(1.0 / float(np.percentile(flow, 90)), WIDEST_PIXEL * trial.truth)
     thermal = {v.key: _normalised(scenes[v.key]) for v, _ in descents}
     mask = scene.capture.thermal_mask
-    losses = {f"{v.key}.{r.key}": [r.loss(image, mask) for image in thermal[v.key]] for v, r in descents}
-    curves = Curves(pictures, losses, spacing)
+    losses = {f"{v.key}.{r.key}": (r, [r.loss(image, mask) for image in thermal[v.key]]) for v, r in descents}
+    curves = Curves(pictures, losses, pixel)
     for variant, rival in descents:
         chosen = None if variant.frames is None else [frames.index(f) for f in _chosen(scene, variant)]
         key, factor = f"{variant.key}.{rival.key}", variant.length_factor
-        theta, history = replay(curves, key, math.log(trial.start * factor), PAPER, chosen, smooth=rival.smooth)
+        theta, history = replay(curves, key, math.log(trial.start * factor), PAPER, chosen)
         renders = PAPER.steps * (len(frames) if chosen is None else len(chosen))
         yield _record(
             trial,
