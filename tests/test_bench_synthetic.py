@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from rtgs.baselines import INERF_L1, INERF_SSIM, NGF_PYRAMID, OURS, RIVALS, Rival
 from rtgs.baselines.ngf_pyramid import Ngf
 from rtgs.benchmarks import synthetic
+from rtgs.benchmarks.ablation import ABLATION
 from rtgs.benchmarks.curves import ENOUGH, REACH_PX, Curves, _Mean, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial
 from rtgs.benchmarks.synthetic import RUN, bench_synthetic, scene_config, tasks_of
-from rtgs.benchmarks.tables import Summary, rows_table, table_1
+from rtgs.benchmarks.tables import Summary, ablation_table, rows_table, table_1
 from rtgs.benchmarks.variants import BEYOND, FAR, FAR_SCENE, PERTURBATIONS, REFERENCE_ROW, Variant, groups
-from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, DensifyConfig, RgbConfig, ScaleConfig
+from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, DensifyConfig, RgbConfig, ScaleConfig, to_json
 from rtgs.errors import RtgsError
 from rtgs.scale import Objective, adam
 from rtgs.synthetic.capture import camera_path, compiled_scene, noise_rng, true_rig, written_rig
@@ -291,6 +292,16 @@ def test_the_table_says_where_ours_is_worst() -> None:
     assert [s.method for s in summaries] == ["init", NGF_PYRAMID.key, OURS.key]
     run = replace(record(0.21, method=RUN), seed=0)
     assert "at most 0.010 points of s apart" in table_1([*paper, *own, run], CONFIG)[0]
+
+
+def test_ablations_change_one_setting_each() -> None:
+    own = to_json(OURS.config)
+    for method in ABLATION:
+        changed = to_json(method.config)
+        assert sum(changed[name] != own[name] for name in own) == 1, method.key
+    assert len({m.key for m in (OURS, *ABLATION)}) == len(ABLATION) + 1
+    text = ablation_table([record(0.1), record(0.3, seed=1), record(3.0, method=ABLATION[0].key)], CONFIG)
+    assert "| nothing | 0.200 |" in text and "| ε = 1e-6 as in the paper | 3.000 | 3.000 | 3.000 | 0 |" in text
 
 
 def test_work_is_seed_by_seed() -> None:

@@ -275,7 +275,7 @@ class SynthConfig:
             raise RtgsError(f"sfm_per_metre: {self.sfm_per_metre} is not a finite positive number")
 
 
-BenchTable = Literal["1", "2", "beyond"]
+BenchTable = Literal["1", "2", "beyond", "ablation"]
 BENCH_TABLES: tuple[BenchTable, ...] = get_args(BenchTable)
 
 
@@ -283,9 +283,10 @@ BENCH_TABLES: tuple[BenchTable, ...] = get_args(BenchTable)
 class BenchSyntheticConfig:
     """Settings of `rtgs bench synthetic`."""
 
-    table: Literal["1", "2", "beyond", "all"] = "1"
+    table: Literal["1", "2", "beyond", "ablation", "all"] = "1"
     """"1": the paper's Table I, six scenes × five seeds; "2": its Table II, what goes wrong with images and calibration; "beyond": fewer
-    frames, more noise, inverted contrast, low resolution, a scene that does not show its scale"""
+    frames, more noise, inverted contrast, low resolution, a scene that does not show its scale; "ablation": the search's defaults beside
+    other values"""
     size: int = 400
     """width and height of all images, in pixels"""
     frames: int = 50

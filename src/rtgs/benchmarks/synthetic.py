@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.baselines import INERF_L1, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS, Own, Rival
+from rtgs.benchmarks.ablation import ABLATION
 from rtgs.benchmarks.curves import Curves, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial, prepare
@@ -32,11 +33,12 @@ PAPER = ScaleConfig(solver="adam")  # 200 steps at 5e-3, all frames
 WIDEST_PIXEL = 0.03  # of s: what stands for a pixel of flow where s hardly flows
 SETTLED_SHARE = 0.005
 RUN = f"{NGF_PYRAMID.key}_run"  # the paper's Adam as it is, to check its replay
-OWN = {own.key: own for own in (OURS, OURS_REFINED)}
+OWN = {own.key: own for own in (OURS, OURS_REFINED, *ABLATION)}
 _METHODS: dict[BenchTable, tuple[str, ...]] = {
     "1": (*(r.key for r in RIVALS), OURS.key),
     "2": (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key),
     "beyond": (INERF_L1.key, NGF_PYRAMID.key, OURS.key),
+    "ablation": (OURS.key, *(own.key for own in ABLATION)),
 }
 
 

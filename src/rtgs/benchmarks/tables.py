@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rtgs.baselines import INERF_L1, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
+from rtgs.benchmarks.ablation import ABLATION
 from rtgs.benchmarks.figures import draw_errors
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import scene_facts
@@ -71,6 +72,8 @@ def write_tables(folder: BenchFolder, config: BenchSyntheticConfig) -> list[Path
             text += "\n" + scene_table(folder, config)
             written.append(_write_csv(folder.path / "table1.csv", Summary, summaries))
             written += draw_errors(folder.path, [r for r in records if r.variant == REFERENCE and r.method in TITLES], TITLES)
+        elif table == "ablation":
+            text = ablation_table(records, config)
         else:
             rows = (*ROWS[table], FAR) if table == "beyond" else ROWS[table]
             here = [r for r in records if r.variant in {row.key for row in rows} and r.method in _OTHERS]
@@ -121,6 +124,29 @@ def rows_table(records: Sequence[Record], rows: Sequence[Variant], title: str) -
             verdicts = [r.status for r in found if r.status != "ok"]
             cells.append(cell + (f"; {len(verdicts)} of {len(found)} {verdicts[0]}" if verdicts else ""))
         lines.append(f"| {row.title} | {row.level} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def ablation_table(records: Sequence[Record], config: BenchSyntheticConfig) -> str:
+    """The search as it is, and with one setting changed."""
+    methods = (OURS, *ABLATION)
+    here = [r for r in records if r.variant == REFERENCE and r.method in {m.key for m in methods}]
+    lines = [f"### Ablation of the search{_where(here, config)}", ""]
+    lines += [
+        "| changed | Med % | P90 % | worst % | SR@2 % | half-width % | renders | seconds, one core |",
+        "|---|" + "---:|" * 7,
+    ]
+    for method in methods:
+        found = [r for r in here if r.method == method.key]
+        if found:
+            own = Summary.of(method.key, found)
+            widths = [r.half_width_pct for r in found if r.half_width_pct is not None]
+            width = f"{np.median(widths):.2f}" if widths else "–"
+            worst = max(r.error_pct for r in found)
+            lines.append(
+                f"| {'nothing' if method is OURS else method.title} | {own.median_pct:.3f} | {own.p90_pct:.3f} | {worst:.3f} "
+                f"| {own.success_pct:.0f} | {width} | {own.renders:,.0f} | {own.seconds:.1f} |"
+            )
     return "\n".join(lines) + "\n"
 
 

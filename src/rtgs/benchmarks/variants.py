@@ -77,7 +77,12 @@ BEYOND = (
 """Of the object scenes; `FAR` is the last row of the table."""
 
 
-ROWS: dict[BenchTable, tuple[Variant, ...]] = {"1": (REFERENCE_ROW,), "2": PERTURBATIONS, "beyond": BEYOND}
+ROWS: dict[BenchTable, tuple[Variant, ...]] = {
+    "1": (REFERENCE_ROW,),
+    "2": PERTURBATIONS,
+    "beyond": BEYOND,
+    "ablation": (REFERENCE_ROW,),
+}
 
 
 def groups(variants: Sequence[Variant]) -> list[list[Variant]]:
