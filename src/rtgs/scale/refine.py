@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
 from rtgs.models import RgbModel
-from rtgs.scale.interval import LocalCurves, block_length, small_sample_factor
+from rtgs.scale.interval import MODEL_PIXELS, LocalCurves, block_length, small_sample_factor
 from rtgs.scale.joint import Joint, Point, Vector
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, Refinement, ScaleEstimate, Scan
@@ -28,7 +28,7 @@ _MOST_STEPS = 6
 _MOST_HESSIANS = 3
 _LONGEST = 2.0  # pixels of the size compared
 _TOLERANCE = 0.02
-_MODEL_PIXELS = 0.1
+_CALIBRATION_PIXELS = 0.1  # what `MODEL_PIXELS` is for the scale
 
 
 def refine(
@@ -118,15 +118,14 @@ def covariance(hessian: Vector, g: Vector, prior: Vector, weight: float) -> Vect
 
 
 def bias(hessian: Vector, pixels: Vector) -> Vector:
-    """`[K, K]`: covariance of the gradient that model errors leave, all frames alike.
+    """`[K, K]`: covariance of the gradient that model errors leave, all frames alike; θ comes first.
 
-    Edges of a render lie beside those of the photograph by some tenth of a pixel, in fields as smooth as those of the unknowns
-    themselves: x is off by as much as makes such a field. A tenth of it has no such form, so that what the unknowns do alike does not
-    cancel it.
+    Edges of a render lie beside those of the photograph, in fields as smooth as those of the unknowns themselves: x is off by as much as
+    makes such a field. A tenth of it has no such form, so that what the unknowns do alike does not cancel it.
     """
-    alike = hessian / pixels
-    alone = 0.1 * np.diag(hessian) / pixels
-    return _MODEL_PIXELS**2 * (alike @ alike.T + np.diag(alone**2))
+    std = np.array([MODEL_PIXELS, *[_CALIBRATION_PIXELS] * (len(pixels) - 1)]) / pixels
+    alike, alone = hessian * std, 0.1 * np.diag(hessian) * std
+    return np.asarray(alike @ alike.T + np.diag(alone**2))
 
 
 def best_weight(hessian: Vector, gradient_covariance: Vector, prior: Vector) -> float:
