@@ -8,8 +8,8 @@ renders that other runs left behind. Two kinds of loss need two ways.
 
 **Noisy losses.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render: the
 slope of the mean loss carries noise that is new every 0.02 % of s, often larger than the slope itself. A run averages it over its steps,
-an interpolation would freeze it and so invent minima. Such a run therefore renders at each of its steps, except where enough earlier
-renders lie close by on both sides: there a line through them has less noise than one more render would have.
+an interpolation would freeze it and so invent minima. Such a run therefore renders at each of its steps, except in the pit where it
+settles: where a line through earlier renders close by on both sides says where the slope is zero to 0.05 %, it stands for one more.
 
 Cubics through values and slopes (Hermite) will not do for either: a render jumps where a Gaussian falls below the cut-off or two change
 places, values contain these jumps and slopes do not, so such a curve has other slopes than those that Adam sees, however fine the nodes.
@@ -30,8 +30,9 @@ from rtgs.baselines import ImageLoss, Rival
 from rtgs.config import ScaleConfig
 from rtgs.scale import History, Objective, adam
 
-REACH_PX = 0.25  # of flow: renders of a noisy loss within it stand for one more
-ENOUGH = 16  # if they are so many
+REACH_PX = 0.25  # of flow: renders of a noisy loss within it may stand for one more
+FEWEST = 8  # if they are so many
+SURE = 5e-4  # and their line is zero within this standard error, in θ
 _SETTLED = 2e-5  # in θ
 _MOST_ROUNDS = 6
 
@@ -134,13 +135,14 @@ class _Mean:
     def _noisy(self, s: float) -> NDArray[np.float64]:
         reach = REACH_PX * self.curves.pixel
         near = self.curves.there(self.key, s - reach, s + reach)
-        if len(near) < ENOUGH or not near[0] < s < near[-1]:
-            return self.mean(s)
-        apart = (np.array(near) - s) / reach
-        weights = np.sqrt(1.0 - np.abs(apart))[:, None]
-        powers = np.vander(apart, 2, increasing=True)
-        values = np.array([self.mean(place) for place in near])
-        return np.asarray(np.linalg.lstsq(powers * weights, values * weights, rcond=None)[0][0])
+        if len(near) >= FEWEST and near[0] < s < near[-1]:
+            apart, values = np.log(np.array(near) / s), np.array([self.mean(place) for place in near])
+            line = np.vander(apart, 2, increasing=True)
+            fit, *_ = np.linalg.lstsq(line, values, rcond=None)
+            error = float((values - line @ fit)[:, 1].std(ddof=2)) / math.sqrt(len(near))
+            if error < SURE * fit[1, 1]:
+                return np.asarray(fit[0])
+        return self.mean(s)
 
 
 def replay(
