@@ -1,0 +1,71 @@
+"""How long the search takes beside the paper's 200 full-batch Adam steps, on the same frames, model and renderer.
+
+    python benchmarks/scale_speed.py RUN [--repeats 3]
+
+RUN is a run folder with an RGB model. A step of Adam needs a loss and a slope of every frame: "forward" takes the slope from a tangent
+picture, as `--scale.solver adam` does, "reverse" through the renderer's backward pass, as the paper does. Their 200 steps are timed on
+a few (the paper's cost is the same at every scale that is close by). Prints a Markdown table of medians.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
+from rtgs.io.capture import load_capture
+from rtgs.pipeline import RunFolder
+from rtgs.scale import Objective, adam, estimate_scale
+
+STEPS, TIMED = 200, 3
+
+
+def seconds(work: Callable[[], object], repeats: int) -> float:
+    work()  # compiles, prepares targets
+    times = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - started)
+    return float(np.median(times))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--repeats", type=int, default=3)
+    o = parser.parse_args()
+    folder = RunFolder(o.run)
+    path, config = folder.read_config()
+    scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
+    frames = scene.train_frames
+    objective = Objective(
+        scene,
+        model.gaussians,
+        model.background,
+        model.settings,
+        frames,
+        level_weights=PAPER_LEVEL_WEIGHTS,
+        epsilon=PAPER_EPSILON,
+    )
+    found = estimate_scale(scene, model)
+    theta = math.log(1.1 * found.sfm_per_metre)
+    ours = seconds(lambda: estimate_scale(scene, model), o.repeats)
+    forward = seconds(lambda: adam(objective, theta, ScaleConfig(solver="adam", steps=TIMED)), o.repeats) * STEPS / TIMED
+    few = range(min(5, len(frames)))
+    reverse = seconds(lambda: [objective.loss_and_slope_in_reverse(i, theta) for i in few], o.repeats)
+    reverse *= STEPS * len(frames) / len(few)
+    camera = scene.rig.thermal
+    print(f"{len(frames)} frames of {camera.width}×{camera.height}, {len(model.gaussians):,} Gaussians.\n")
+    print("| | seconds | times ours |\n|---|---:|---:|")
+    for name, value in (("ours", ours), ("Adam, forward mode", forward), ("Adam, reverse mode", reverse)):
+        print(f"| {name} | {value:.1f} | {value / ours:.1f} |")
+
+
+if __name__ == "__main__":
+    main()
