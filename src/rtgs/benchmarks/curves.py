@@ -9,7 +9,7 @@ renders that other runs left behind. Two kinds of loss need two ways.
 **Noisy losses.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render: the
 slope of the mean loss carries noise that is new every 0.02 % of s, often larger than the slope itself. A run averages it over its steps,
 an interpolation would freeze it and so invent minima. Such a run therefore renders at each of its steps, except in the pit where it
-settles: where a line through earlier renders close by on both sides says where the slope is zero to 0.05 %, it stands for one more.
+settles: where a line through earlier renders close by on both sides says where the slope is zero to 0.015 %, it stands for one more.
 
 Cubics through values and slopes (Hermite) will not do for either: a render jumps where a Gaussian falls below the cut-off or two change
 places, values contain these jumps and slopes do not, so such a curve has other slopes than those that Adam sees, however fine the nodes.
@@ -32,7 +32,7 @@ from rtgs.scale import History, Objective, adam
 
 REACH_PX = 0.25  # of flow: renders of a noisy loss within it may stand for one more
 FEWEST = 8  # if they are so many
-SURE = 5e-4  # and their line is zero within this standard error, in θ
+SURE = 1.5e-4  # and their line is zero within this standard error, in θ
 _SETTLED = 2e-5  # in θ
 _MOST_ROUNDS = 6
 
