@@ -214,7 +214,9 @@ class Pit:
         return sorted(s for s in self.nodes if low < s < high)
 
 
-@pytest.mark.parametrize(("curvature", "noise", "renders"), [(2.0, 0.0005, 0), (2.0, 0.02, 1), (-2.0, 0.0005, 1), (0.1, 0.0005, 1)])
+@pytest.mark.parametrize(
+    ("curvature", "noise", "renders"), [(2.0, 0.0005, 0), (2.0, 0.02, 1), (-2.0, 0.0005, 1), (0.1, 0.0005, 1)]
+)
 def test_renders_stand_for_another_only_in_a_pit_that_they_are_sure_of(curvature: float, noise: float, renders: int) -> None:
     pit = Pit(curvature, noise)
     mean = _Mean(pit, "any", None)  # type: ignore[arg-type]

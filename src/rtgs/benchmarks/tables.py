@@ -89,15 +89,17 @@ def table_1(records: Sequence[Record], config: BenchSyntheticConfig) -> tuple[st
     """Markdown and its rows."""
     here = [r for r in records if r.variant == REFERENCE]
     groups = {key: [r for r in here if r.method == key] for key in TITLES}
-    some = next((g for g in groups.values() if g), [])
-    summaries = [Summary.of_starts(some)] if some else []
+    most = max(groups.values(), key=len)
+    summaries = [Summary.of_starts(most)] if most else []
     summaries += [Summary.of(key, found) for key, found in groups.items() if found]
     lines = [f"### Table I: scale recovery{_where(here, config)}", ""]
-    lines += ["| method | Med % | P90 % | SR@2 % | iterations | renders | seconds, one core |", "|---|" + "---:|" * 6]
+    lines += ["| method | trials | Med % | P90 % | SR@2 % | iterations | renders | seconds, one core |", "|---|" + "---:|" * 7]
     for s in summaries:
         counts = ["–"] * 3 if math.isnan(s.renders) else [f"{s.iterations:.0f}", f"{s.renders:,.0f}", f"{s.seconds:.1f}"]
         title = TITLES.get(s.method, "Init")
-        lines.append(f"| {title} | {s.median_pct:.2f} | {s.p90_pct:.2f} | {s.success_pct:.0f} | " + " | ".join(counts) + " |")
+        lines.append(
+            f"| {title} | {s.trials} | {s.median_pct:.2f} | {s.p90_pct:.2f} | {s.success_pct:.0f} | " + " | ".join(counts) + " |"
+        )
     lines += ["", *_comparison(groups), *_checks(here)]
     return "\n".join(lines) + "\n", summaries
 
