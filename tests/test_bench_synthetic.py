@@ -317,6 +317,8 @@ def test_the_table_says_where_ours_is_worst() -> None:
     text, summaries = table_1([*paper, *own], CONFIG)
     assert "at most +0.25 points (lego, seed 0: 0.45 %)" in text and "inside in 2 of 2" in text
     assert [s.method for s in summaries] == ["init", NGF_PYRAMID.key, OURS.key]
+    assert "| 2 | 15.10 |" in text and "1 scenes × 2 seeds" in text
+    assert "3 trials on 2 scenes" in table_1([*paper, record(0.1, scene="ship")], CONFIG)[0]
     run = replace(record(0.21, method=RUN), seed=0)
     assert "at most 0.010 points of s apart" in table_1([*paper, *own, run], CONFIG)[0]
 

@@ -162,11 +162,11 @@ def scene_table(folder: BenchFolder, config: BenchSyntheticConfig) -> str:
 
 
 def _where(records: Sequence[Record], config: BenchSyntheticConfig) -> str:
-    scenes, seeds = {r.scene for r in records} - {FAR_SCENE}, {r.seed for r in records}
+    trials = {(r.scene, r.seed) for r in records if r.scene != FAR_SCENE}
+    scenes, seeds = len({scene for scene, _ in trials}), len({seed for _, seed in trials})
     training = config.frames - len(range(0, config.frames, HELD_OUT_EVERY))
-    return (
-        f" at {config.size} × {config.size}, {config.frames} pairs of which {training} for training, "
-        f"{len(scenes)} scenes × {len(seeds)} seeds"
+    return f" at {config.size} × {config.size}, {config.frames} pairs of which {training} for training, " + (
+        f"{scenes} scenes × {seeds} seeds" if len(trials) == scenes * seeds else f"{len(trials)} trials on {scenes} scenes"
     )
 
 
