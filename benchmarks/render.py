@@ -397,7 +397,8 @@ def measure_rival(rivals: dict[str, str], size: int, gaussians: int, repeats: in
         for a, b in compared:
             difference = np.abs(results[a]["image"] - results[b]["image"]).max(2)
             decided = float(difference[~undecided].max())
-            out[f"image|{a}|{b}"] = (float(difference.max()), decided, int((difference > 5e-4).sum()), psnr(difference))
+            norm = relative(results[a]["image"], results[b]["image"])
+            out[f"image|{a}|{b}"] = (float(difference.max()), decided, int((difference > 5e-4).sum()), psnr(difference), norm)
             shared = [k for k in ALL_FIELDS if k in results[a] and k in results[b]]
             out |= {f"gradient|{a}|{b}|{k}": relative(results[a][k], results[b][k]) for k in shared}
     return out
@@ -510,15 +511,24 @@ def section_rival(o: argparse.Namespace) -> list[Line]:
             rows,
         )
         table = []
-        for key, (largest, decided, beyond, decibels) in ((k, v) for k, v in found.items() if k.startswith("image|")):
+        for key, (largest, decided, beyond, decibels, norm) in ((k, v) for k, v in found.items() if k.startswith("image|")):
             _, a, b = key.split("|")
             gradients = [f"{v:.1e}" for k, v in found.items() if k.startswith(f"gradient|{a}|{b}|")]
             table.append(
-                [f"{a} − {b}", f"{largest:.1e}", beyond, f"{decided:.1e}", f"{decibels:.0f} dB", *(gradients or ["–"] * 5)]
+                [
+                    f"{a} − {b}",
+                    f"{largest:.1e}",
+                    beyond,
+                    f"{decided:.1e}",
+                    f"{decibels:.0f} dB",
+                    f"{norm:.1e}",
+                    *(gradients or ["–"] * 5),
+                ]
             )
         undecided = f"float32 cannot decide a cut-off in {100 * found['undecided']:.1f} % of the pixels"
         title = f"Differences, {size}²: image ({undecided}), gradients"
-        print_table(title, ["", "largest", "pixels > 5e-4", "largest where decided", "PSNR", *ALL_FIELDS], table)
+        print_table(title, ["", "largest", "pixels > 5e-4", "largest where decided", "PSNR", "relative norm", *ALL_FIELDS], table)
+        lines.append(at_most(f"image, {size}², ours − {judge}, relative norm", 5e-4, found[f"image|ours|{judge}"][4], ""))
         lines.append(at_most(f"image, {size}², ours − {judge}, where decided", 5e-4, found[f"image|ours|{judge}"][1], ""))
         lines.append(at_most(f"image, {size}², ours − {judge}, everywhere", 5e-4, found[f"image|ours|{judge}"][0], ""))
         worst = [v for k, v in found.items() if k.startswith(f"gradient|ours|{judge}|")]
