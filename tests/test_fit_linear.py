@@ -74,7 +74,7 @@ def test_design_is_what_render_draws_and_has_its_transpose(degree: int) -> None:
     torch.testing.assert_close((image * y).sum((0, 1)), (out * x).sum(0), rtol=1e-4, atol=1e-3)
     span = LinearRange(10.0, 20.0)
     for c in range(2):
-        model = as_model(x[:, c : c + 1], design, rgb, span, SFM_PER_METRE, {})
+        model = as_model(x[:, c : c + 1], design, rgb, span, span, SFM_PER_METRE, {})
         np.testing.assert_allclose(model.render(RIG.thermal, fit.data.poses[3]), span.expand(image[..., c].numpy()), atol=1e-3)
         assert image[..., c].min() < -0.2  # below the range
 
@@ -107,6 +107,25 @@ def test_solution_satisfies_the_normal_equations(offsets: bool) -> None:
         torch.testing.assert_close(got.double(), exact, atol=2e-4, rtol=0)
 
 
+def test_problems_with_and_without_offsets_go_side_by_side() -> None:
+    """Each as if it were alone; and the images of the answer are kept on the way."""
+    scene, rgb, _ = ring()
+    fit = least_squares(changed(scene, lambda i, t: t + 0.3 * (i % 5)), rgb)
+    frames = range(len(fit.data))
+    both = fit.problem((0.3, 0.3), frames, offsets=torch.tensor([0.0, 1.0]))
+    start = both.prior.clone()
+    shown = [fit.design.image(f, start) for f in frames]
+    pair = solve(both, start, iterations=6, shown=shown)
+    assert not torch.allclose(pair.x[:, 0], pair.x[:, 1], atol=1e-3)
+    for c, drift in enumerate((None, ("offset", Drift(0.3, torch.ones(len(frames)), torch.zeros(len(frames)))))):
+        alone = solve(fit.problem((0.3,), frames, drift=drift), start[:, :1], iterations=6)  # type: ignore[arg-type]
+        torch.testing.assert_close(pair.x[:, c : c + 1], alone.x, atol=1e-4, rtol=0)
+        assert alone.shown is None
+    assert pair.shown is not None
+    for f in frames:
+        torch.testing.assert_close(pair.shown[f], fit.design.image(f, pair.x), atol=1e-4, rtol=0)
+
+
 def test_a_solved_problem_stays() -> None:
     scene, rgb, _ = known()
     problem = least_squares(scene, rgb).problem((1.0,), [0, 1])
@@ -134,7 +153,7 @@ def test_known_colours_are_recovered_to_a_millikelvin() -> None:
     fit = least_squares(scene, rgb)
     problem = fit.problem((1e-6,), range(8))
     x = solve(problem, problem.prior, iterations=400).x
-    model = as_model(x, fit.design, rgb, training_range(scene), SFM_PER_METRE, {})
+    model = as_model(x, fit.design, rgb, training_range(scene), training_range(scene), SFM_PER_METRE, {})
     for frame in scene.train_frames:
         pose = scene.thermal_from_world(frame.name, SFM_PER_METRE)
         np.testing.assert_allclose(model.render(RIG.thermal, pose), frame.thermal, atol=1e-3)
@@ -329,7 +348,7 @@ def lightly_held(scene: Scene) -> tuple[Fit, ThermalModel]:
     fit = least_squares(scene, rgb)
     problem = fit.problem((0.03,), range(len(fit.data)))
     x = solve(problem, problem.prior, iterations=80).x
-    return fit, as_model(x, fit.design, rgb, training_range(scene), SFM_PER_METRE, {})
+    return fit, as_model(x, fit.design, rgb, training_range(scene), training_range(scene), SFM_PER_METRE, {})
 
 
 def test_standard_error_is_that_of_repeated_noise() -> None:

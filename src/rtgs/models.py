@@ -13,7 +13,7 @@ from torch import Tensor
 from rtgs.camera import Camera
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
-from rtgs.radiometry import LinearRange
+from rtgs.radiometry import LinearRange, ThermalRange
 from rtgs.render import RenderSettings, render
 
 
@@ -65,9 +65,10 @@ class ThermalModel:
         settings: how it has to be rendered.
         sfm_per_metre: the scale whose thermal poses it was fitted at.
         history: lists of equal length: "step", "loss".
-        color_range: what colours 0 and 1 stand for, in the unit of `range`; None: `range`. The linear fit begins it where no colour is
-            below 0, so that the clamp of `render` and of every viewer never acts.
-        drift: by training frame its gain and offset: photograph = gain · image + offset; empty where none were fitted.
+        color_range: what colours 0 and 1 stand for; None: `range`. The linear fit begins it where no colour is below 0, so that the clamp
+            of `render` and of every viewer never acts. Where there are Planck constants colours are linear in radiance and not in °C.
+        drift: by training frame its gain and offset: photograph = gain · image + offset, in °C (or counts), or in a black body's signal
+            where colours are linear in that; empty where none were fitted.
         temperatures: of each Gaussian, or None where nobody asked.
     """
 
@@ -77,12 +78,12 @@ class ThermalModel:
     settings: RenderSettings
     sfm_per_metre: float
     history: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    color_range: LinearRange | None = None
+    color_range: ThermalRange | None = None
     drift: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     temperatures: GaussianTemperatures | None = None
 
     @property
-    def colors(self) -> LinearRange:
+    def colors(self) -> ThermalRange:
         """What colours 0 and 1 stand for."""
         return self.color_range or self.range
 

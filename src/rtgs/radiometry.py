@@ -228,3 +228,58 @@ class LinearRange:
 
     def expand(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         return (values.astype(np.float64) * (self.hi - self.lo) + self.lo).astype(np.float32)
+
+    @property
+    def linear(self) -> LinearRange:
+        """The same in what adds up where images mix: here, the values themselves."""
+        return self
+
+
+@dataclass(frozen=True)
+class PlanckRange:
+    """A normalisation in which mixtures are right: 0 and 1 stand for two signals of a black body, linear in radiance, and not in °C.
+
+    Has `LinearRange`'s functions, from °C and to °C. The sensor's own signal is affine in this one, with the same two numbers for all
+    pixels (`PlanckRadiometry`), so what is composited in the one is composited in the other.
+    """
+
+    calibration: PlanckCalibration
+    lo_signal: float
+    hi_signal: float
+
+    @staticmethod
+    def of(calibration: PlanckCalibration, span: LinearRange) -> PlanckRange:
+        """From `span.lo` to `span.hi` °C."""
+        lo, hi = (float(calibration.blackbody_signal(t)) for t in (span.lo, span.hi))
+        return PlanckRange(calibration, lo, hi)
+
+    @property
+    def lo(self) -> float:
+        """°C; −273.15 where no temperature gives so little."""
+        return float(self.calibration.blackbody_celsius(self.lo_signal))
+
+    @property
+    def hi(self) -> float:
+        return float(self.calibration.blackbody_celsius(self.hi_signal))
+
+    @property
+    def linear(self) -> LinearRange:
+        """The signals."""
+        return LinearRange(self.lo_signal, self.hi_signal)
+
+    def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        return self.linear.normalise(self.calibration.blackbody_signal(values))
+
+    def expand(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        signal = values.astype(np.float64) * (self.hi_signal - self.lo_signal) + self.lo_signal
+        return self.calibration.blackbody_celsius(signal).astype(np.float32)
+
+
+ThermalRange: TypeAlias = LinearRange | PlanckRange
+
+
+def extended(span: ThermalRange, floor: float) -> ThermalRange:
+    """The range whose 0 is at `floor` of this one; its 1 stays."""
+    if isinstance(span, PlanckRange):
+        return replace(span, lo_signal=span.lo_signal + floor * (span.hi_signal - span.lo_signal))
+    return replace(span, lo=span.lo + floor * span.width)

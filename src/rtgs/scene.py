@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rtgs.camera import Camera
 from rtgs.geometry import SE3, axis_angle_from_rotation, rotation_from_axis_angle
+from rtgs.radiometry import PlanckRadiometry
 
 HELD_OUT_EVERY = 8  # frames 0, 8, 16, … in name order
 
@@ -104,6 +105,7 @@ class Capture:
         frames: in name order; all of them, registered or not.
         rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill.
         thermal_unit: "celsius", or "relative" when the rig file gives no radiometry.
+        planck: how °C came out of the sensor's signal, where `rig.json` has Planck constants.
         poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
         warnings: what a person should know and can live with.
     """
@@ -117,6 +119,7 @@ class Capture:
     thermal_unit: Literal["celsius", "relative"]
     poses: Poses | None
     warnings: tuple[str, ...] = ()
+    planck: PlanckRadiometry | None = None
 
 
 @dataclass(frozen=True, eq=False)

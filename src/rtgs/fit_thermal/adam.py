@@ -9,7 +9,7 @@ import torch
 
 from rtgs import sh
 from rtgs.config import ThermalConfig
-from rtgs.fit_thermal.frames import training_range
+from rtgs.fit_thermal.frames import color_range, training_range
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.progress import Progress
 from rtgs.render import render
@@ -27,11 +27,11 @@ def fit_adam(
     n, k = len(frozen), sh.coefficients(config.sh_degree)
     start = torch.randn(n, k, 1, generator=generator) * config.initial_noise
     constant, directional = torch.nn.Parameter(start[:, :1].clone()), torch.nn.Parameter(start[:, 1:].clone())
-    span = training_range(scene)
+    span, colors = training_range(scene), color_range(scene)
     camera, mask_array = scene.rig.thermal, scene.capture.thermal_mask
     mask = None if mask_array.all() else torch.from_numpy(np.ascontiguousarray(mask_array))
     windows = None if mask is None else whole_windows(mask)  # SSIM's windows must not reach pixels that hold nothing
-    targets = [torch.from_numpy(span.normalise(np.where(mask_array, f.thermal, span.lo)))[..., None] for f in frames]
+    targets = [torch.from_numpy(colors.normalise(np.where(mask_array, f.thermal, span.lo)))[..., None] for f in frames]
     borders = torch.cat([torch.cat([t[0], t[-1], t[:, 0], t[:, -1]]) for t in targets])
     background = torch.nn.Parameter(borders.median(dim=0).values)
     optimizer = torch.optim.Adam(
@@ -71,5 +71,5 @@ def fit_adam(
             progress(step + 1, config.steps, f"loss {np.mean(recent):.4f}")
     coefficients = torch.cat([constant, directional], dim=1).detach()
     return ThermalModel(
-        replace(frozen, sh=coefficients), background.detach().clone(), span, settings, float(sfm_per_metre), history
+        replace(frozen, sh=coefficients), background.detach().clone(), span, settings, float(sfm_per_metre), history, colors
     )

@@ -17,12 +17,13 @@ from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
 from rtgs.fit_thermal.linear import DEFAULT_FACTOR, ridge
 from rtgs.models import GaussianTemperatures, ThermalModel
 from rtgs.progress import Progress
+from rtgs.radiometry import ThermalRange
 from rtgs.scene import Scene
 
 SEEN_PX = 0.5  # a view sees a Gaussian that contributes this much to its pixels, all together
 SAMPLES = 8
 PROBES = 7  # random signs a view
-ITERATIONS = 40  # fewer leave the spread of the prior in what is seen least: too large rather than too small
+ITERATIONS = 20  # fewer leave the spread of the prior in what is seen least: too large rather than too small
 
 
 def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progress | None = None) -> GaussianTemperatures:
@@ -58,7 +59,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
         if progress is not None:
             progress(done, total, "standard errors")
 
-    signs = torch.Generator().manual_seed(0)
+    signs, linear = torch.Generator().manual_seed(0), model.colors.linear
     coverage, views, squares = torch.zeros(n + 1), torch.zeros(n), 0.0
     seen, bounds, blocks = torch.zeros(n, k, 1), torch.zeros(n, k, k), torch.zeros(n, k, k)
     for f, frame in enumerate(frames):
@@ -71,8 +72,9 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
         design.add_blocks(f, colors[:, 0].contiguous(), bounds)
         design.add_blocks(f, (colors[:, 1:] ** 2).mean(dim=1), blocks)  # E (Σ ± w)² = Σ w²
         gain, offset = model.drift.get(frame.name, (1.0, 0.0))
-        shown = gain * model.render(scene.rig.thermal, data.poses[f]) + offset
-        squares += float((data.valid * (torch.from_numpy(frame.thermal - shown) / model.colors.width).nan_to_num() ** 2).sum())
+        image = linear.expand(model.colors.normalise(model.render(scene.rig.thermal, data.poses[f])))
+        shown = torch.from_numpy(linear.normalise(gain * image + offset))
+        squares += float((data.valid * (data.images[f] - shown) ** 2).sum())
         each()
     mean_basis = seen[..., 0] / coverage[:-1, None].clamp_min(1e-6)
     mean_basis[coverage[:-1] < 1e-6] = torch.eye(k)[0] * sh.C0
@@ -86,7 +88,8 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
     noises = _Noises(data.valid.shape, len(data))
     weights = [data.valid] * len(data)
     ridges = penalty[:, None].expand(-1, SAMPLES)
-    problem = Problem(design, range(len(data)), noises, weights, bool(model.drift), ridges, prior, inverses, divisor)
+    offsets = torch.ones(SAMPLES) if model.drift else None
+    problem = Problem(design, range(len(data)), noises, weights, offsets, ridges, prior, inverses, divisor)
     x = solve(problem, prior, iterations=ITERATIONS, each=each).x
     right, _ = problem.gradient(torch.zeros_like(x), each)
     freedom = float(((right - ridges * prior) * x).sum()) / SAMPLES
@@ -101,9 +104,15 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
         progress(total, total, "standard errors")
     return GaussianTemperatures(
         model.colors.expand(value.numpy()),
-        (model.colors.width * sigma * variance.sqrt()).numpy().astype(np.float32),
+        _spread(model.colors, value.numpy(), sigma * variance.sqrt().numpy()),
         views.numpy(),
     )
+
+
+def _spread(colors: ThermalRange, value: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """A small spread of a colour as one of its temperature, °C (or counts)."""
+    above, below = (colors.expand(value.astype(np.float64) + by) for by in (5e-3, -5e-3))
+    return (std * (above - below) / 1e-2).astype(np.float32)
 
 
 class _Noises(Sequence[Tensor]):

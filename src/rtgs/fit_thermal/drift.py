@@ -16,7 +16,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from rtgs.radiometry import LinearRange
+from rtgs.radiometry import ThermalRange
 
 Kind = Literal["off", "offset", "gain-offset"]
 GAINS = (0.5, 2.0)  # no automatic gain control that is of use goes further; a frame without contrast could go anywhere
@@ -37,9 +37,9 @@ class Drift:
     def only(self, frames: Sequence[int]) -> Drift:
         return Drift(self.level, self.gain[frames], self.offset[frames])
 
-    def by_frame(self, names: Sequence[str], span: LinearRange) -> dict[str, tuple[float, float]]:
-        """`ThermalModel.drift`: photograph = gain · image + offset, in °C (or counts)."""
-        level, width = span.lo + self.level * (span.hi - span.lo), span.hi - span.lo
+    def by_frame(self, names: Sequence[str], span: ThermalRange) -> dict[str, tuple[float, float]]:
+        """`ThermalModel.drift`: photograph = gain · image + offset."""
+        level, width = span.linear.lo + self.level * span.linear.width, span.linear.width
         gains, offsets = self.gain.tolist(), self.offset.tolist()
         return {n: (g, level * (1.0 - g) + width * o) for n, g, o in zip(names, gains, offsets, strict=True)}
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rtgs.geometry import SE3
-from rtgs.radiometry import LinearRange
+from rtgs.radiometry import LinearRange, PlanckRange, ThermalRange
 from rtgs.scene import Frame, Scene
 
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
@@ -24,13 +24,19 @@ def training_range(scene: Scene) -> LinearRange:
     return LinearRange(lo, hi if hi > lo else lo + 1.0)
 
 
+def color_range(scene: Scene) -> ThermalRange:
+    """What the fitted colours are in: `training_range`, taken in radiance where the capture has Planck constants."""
+    span = training_range(scene)
+    return span if scene.capture.planck is None else PlanckRange.of(scene.capture.planck.calibration, span)
+
+
 @dataclass(frozen=True, eq=False)
 class ThermalFrames:
     """What the linear fit looks at.
 
     Attributes:
         names: of the frames.
-        images: `[h, w]` each, in units of the range; 0 where not valid.
+        images: `[h, w]` each, in units of the colours; 0 where not valid.
         valid: `[h, w]`, 1 where a pixel counts and 0 elsewhere; the same for all frames.
         poses: camera_from_world of the thermal camera.
     """
@@ -41,7 +47,7 @@ class ThermalFrames:
     poses: tuple[SE3, ...]
 
     @staticmethod
-    def of(scene: Scene, frames: Sequence[Frame], sfm_per_metre: float, span: LinearRange) -> ThermalFrames:
+    def of(scene: Scene, frames: Sequence[Frame], sfm_per_metre: float, span: ThermalRange) -> ThermalFrames:
         mask = scene.capture.thermal_mask
         return ThermalFrames(
             tuple(f.name for f in frames),

@@ -15,12 +15,12 @@ from rtgs.fit_thermal.design import Design
 class Problem:
     """Least x of Σ_f ‖image_f − design_f · x − offset_f‖² + Σ ridge · (x − prior)², each pixel weighed, C times side by side.
 
-    The offsets, where there are any, are eliminated exactly: the weighted mean is taken out of every residual.
+    Offsets, where a problem has any, are eliminated exactly: the weighted mean is taken out of every residual.
 
     Attributes:
         frames: indices of those that count.
         images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
-        offsets: whether each frame has one of its own; else they are 0.
+        offsets: `[C]`, 1 for a problem in which each frame has an offset of its own, 0 where they are 0; None: 0 everywhere.
         ridge, prior: `[D, C]`.
         inverses, background: the preconditioner (see `preconditioner`).
     """
@@ -29,7 +29,7 @@ class Problem:
     frames: Sequence[int]
     images: Sequence[Tensor]
     weights: Sequence[Tensor]
-    offsets: bool
+    offsets: Tensor | None
     ridge: Tensor
     prior: Tensor
     inverses: Tensor
@@ -53,11 +53,14 @@ class Problem:
             each()
         return out, value
 
-    def normal(self, p: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
-        """(designᵀ · weights · design + ridge) · p."""
+    def normal(self, p: Tensor, each: Callable[[], None] = lambda: None, images: list[Tensor] | None = None) -> Tensor:
+        """(designᵀ · weights · design + ridge) · p; design · p, frame by frame, is appended to `images`."""
         out = self.ridge * p
         for f in self.frames:
-            self.design.add_transpose(f, self._weighted(f, self.design.image(f, p)), out)
+            image = self.design.image(f, p)
+            self.design.add_transpose(f, self._weighted(f, image), out)
+            if images is not None:
+                images.append(image)
             each()
         return out
 
@@ -70,8 +73,8 @@ class Problem:
         """Weights · (image less its weighted mean, where there are offsets)."""
         weights = self.weights[frame][..., None]
         weighted = image * weights
-        if self.offsets:
-            weighted -= weights * (weighted.sum((0, 1)) / weights.sum().clamp_min(1e-12))
+        if self.offsets is not None:
+            weighted -= weights * (self.offsets * weighted.sum((0, 1)) / weights.sum().clamp_min(1e-12))
         return weighted
 
 
@@ -90,11 +93,13 @@ def preconditioner(blocks: Tensor, background: float, ridge: Tensor, design: Des
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """`x` `[D, C]`; `iterations`; `residual` `[C]`: norm of the gradient that is left, relative to that at the start."""
+    """`x` `[D, C]`; `iterations`; `residual` `[C]`: norm of the gradient that is left, relative to that at the start; `shown`:
+    design · x of each of the problem's frames, where it was known of the start."""
 
     x: Tensor
     iterations: int
     residual: Tensor
+    shown: list[Tensor] | None
 
 
 def solve(
@@ -113,17 +118,21 @@ def solve(
         iterations: at most.
         tolerance: stop when an iteration lowered no problem's sum by more than this share of it.
         settled: asked after each iteration, with the unknowns, whether it was the last.
-        shown: see `Problem.gradient`.
+        shown: see `Problem.gradient`; kept up to date from iteration to iteration, which saves the next problem a pass.
         each: called after each frame of each pass.
     """
     x, done = start.clone(), 0
+    images = None if shown is None else [shown[f] for f in problem.frames]
     r, value = problem.gradient(x, each, shown)
     z = problem.precondition(r)
     p, rz = z.clone(), _dot(r, z)
     first = rz
     while done < iterations:
-        q = problem.normal(p, each)
+        moves: list[Tensor] | None = None if images is None else []
+        q = problem.normal(p, each, moves)
         step = _ratio(rz, _dot(p, q))
+        if images is not None and moves is not None:
+            images = [image + step.float() * move for image, move in zip(images, moves, strict=True)]
         x += step.float() * p
         r -= step.float() * q
         z = problem.precondition(r)
@@ -132,7 +141,7 @@ def solve(
         if settled(x) or bool((gain <= tolerance * value.clamp_min(0.0)).all()):
             break
         p = z + _ratio(rz, old).float() * p
-    return Solution(x, done, _ratio(rz, first).sqrt())
+    return Solution(x, done, _ratio(rz, first).sqrt(), images)
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

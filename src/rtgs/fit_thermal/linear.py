@@ -17,11 +17,11 @@ from rtgs import sh
 from rtgs.config import ThermalConfig
 from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
-from rtgs.fit_thermal.frames import ThermalFrames, training_range
+from rtgs.fit_thermal.frames import ThermalFrames, color_range, training_range
 from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.progress import Progress
-from rtgs.radiometry import LinearRange
+from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
 
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
@@ -29,21 +29,21 @@ from rtgs.scene import Scene
 # geometry gets wrong is as large in a hundred pixels as in one, and view dependence would make up for it.
 RIDGE_PX = 0.3
 RIDGE_SHARE = 0.01
-RIDGE_FACTORS = (0.001, 0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
+RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
 DEFAULT_FACTOR = 0.3  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
-SETTLED_SHARE, SETTLED_AFTER = 0.02, 2  # a validation error that fell by less over so many iterations
+SETTLED_SHARE, SETTLED_AFTER = 0.02, 1  # a validation error that fell by less over so many iterations
 HUBER = 0.5  # residuals count by their square up to so many root mean squares, beyond by their size
-ROUNDS = 2  # of reweighting
-DRIFT_SHARE = 0.005  # of the residuals' square must be explained by gains and offsets for drift to be looked into; so many frames
-DRIFT_FRAMES = 3  # be there for validation, their differences
+ROUNDS = 1  # of reweighting
+DRIFT_SHARE = 0.02  # of the error on validation frames must be their own gain's and offset's for drift to be looked into; so many
+DRIFT_FRAMES = 3  # of them be there, their differences
 DRIFT_GAIN = 0.005  # predicted better by this share and by a standard error, and
 LEVEL_LOSS = 1.25  # levels no worse than by this factor
 DRIFT_ITERATIONS = 4
 ITERATIONS = 60
 TOLERANCE = 5e-3
-USUAL_PASSES = 30
+USUAL_PASSES = 22
 
 
 class Passes:
@@ -125,8 +125,10 @@ class Fit:
         *,
         weights: Sequence[Tensor] | None = None,
         drift: tuple[Kind, Drift] | None = None,
+        offsets: Tensor | None = None,
     ) -> Problem:
-        """Ridges side by side; `weights` None: the valid pixels. Gains count as known, offsets as unknown."""
+        """Ridges side by side; `weights` None: the valid pixels. Gains count as known, offsets as unknown; `offsets`: in which problems
+        there are any, without drift."""
         weights = self.everywhere if weights is None else weights
         photographs = [y[..., None] for y in self.data.images]
         if drift is not None and drift[0] == "gain-offset":
@@ -138,7 +140,8 @@ class Fit:
             self.evidence.blocks, float(self.evidence.coverage[-1]), ridges.log().mean(dim=1).exp(), self.design
         )
         prior = self.evidence.prior[:, None].expand(-1, len(factors))
-        offsets = drift is not None and drift[0] != "off"
+        if drift is not None and drift[0] != "off":
+            offsets = torch.ones(len(factors))
         return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background)
 
     def images(self, x: Tensor) -> list[Tensor]:
@@ -169,96 +172,142 @@ def fit_linear(
     scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
     """See `fit_thermal`."""
-    span = training_range(scene)
+    span = color_range(scene)
     data = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
     design = Design(rgb_model.gaussians.detach(), scene.rig.thermal, data.poses, config.sh_degree, rgb_model.settings)
     passes = Passes(len(data) * USUAL_PASSES, progress)
     median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
     fit = Fit(design, data, gather(design, data, passes), median, passes)
     validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
-    factor, x = choose_ridge(fit, validation, fit.evidence.prior[:, None])
+    tried = choose_ridge(fit, validation, fit.evidence.prior[:, None], aside=config.drift == "auto")
     kind = config.drift
     if kind == "auto":
-        kind, factor, x = choose_drift(fit, validation, factor, x)
+        kind, tried = choose_drift(fit, validation, tried)
     elif kind != "off":
-        factor, x = choose_ridge(fit, validation, x, fit.gauged(kind, fit.images(x)))
-    x, drift, history = reweighted(fit, factor, kind, x, passes)
+        tried = choose_ridge(fit, validation, tried.x, fit.gauged(kind, fit.images(tried.x)))
+    x, drift, history = reweighted(fit, tried.factor, kind, tried.x, passes)
     passes.finish()
-    model = as_model(x, design, rgb_model, span, sfm_per_metre, history)
+    model = as_model(x, design, rgb_model, training_range(scene), span, sfm_per_metre, history)
     return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
 
 
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """What validation frames say of the ridge.
+
+    Attributes:
+        factor: with the smallest error.
+        x: `[D, 1]` under it, fitted to the other frames.
+        shown: `[h, w]` of each validation frame.
+        with_offsets: the pair (x, shown) with an offset of its own for each frame, under the usual ridge; without: the same without.
+    """
+
+    factor: float
+    x: Tensor
+    shown: Sequence[Tensor]
+    with_offsets: tuple[Tensor, Sequence[Tensor]] | None = None
+    without: tuple[Tensor, Sequence[Tensor]] | None = None
+
+
 def choose_ridge(
-    fit: Fit, validation: Sequence[int], start: Tensor, drift: tuple[Kind, Drift] | None = None
-) -> tuple[float, Tensor]:
-    """The factor with the smallest mean absolute error on frames that the fit did not see; and its unknowns `[D, 1]`.
+    fit: Fit, validation: Sequence[int], start: Tensor, drift: tuple[Kind, Drift] | None = None, *, aside: bool = False
+) -> Tried:
+    """The factor with the smallest mean absolute error on frames that the fit did not see.
 
     With drift, a frame's own gain and offset are taken out of its error.
+
+    Args:
+        aside: also solve with offsets, side by side with the ridges, which costs a tenth of what it would cost by itself.
     """
     if not validation:
-        return DEFAULT_FACTOR, start
+        return Tried(DEFAULT_FACTOR, start, [])
     rest = [f for f in range(len(fit.data)) if f not in validation]
     count, best = len(RIDGE_FACTORS), [math.inf] * SETTLED_AFTER
-    errors = torch.zeros(count)
+    factors = (*RIDGE_FACTORS, DEFAULT_FACTOR) if aside else RIDGE_FACTORS
+    offsets = torch.tensor([0.0] * count + [1.0]) if aside else None
+    errors, kind = torch.zeros(count), "off" if drift is None else drift[0]
+    shown: dict[int, Tensor] = {}
 
     def settled(x: Tensor) -> bool:
         errors.zero_()
         for f in validation:
-            images = fit.design.image(f, x)
+            shown[f] = fit.design.image(f, x)
             for c in range(count):
-                errors[c] += fit.error("off" if drift is None else drift[0], f, images[..., c])
+                errors[c] += fit.error(kind, f, shown[f][..., c])
             fit.each()
         best.append(float(errors.min()))
         return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - SETTLED_AFTER]
 
-    problem = fit.problem(RIDGE_FACTORS, rest, drift=drift)
-    x = solve(problem, start.expand(-1, count), iterations=ITERATIONS, settled=settled, each=fit.each).x
+    problem = fit.problem(factors, rest, drift=drift, offsets=offsets)
+    x = solve(problem, start.expand(-1, len(factors)), iterations=ITERATIONS, settled=settled, each=fit.each).x
+
+    def column(c: int) -> tuple[Tensor, list[Tensor]]:
+        return x[:, c : c + 1].clone(), [shown[f][..., c] for f in validation]
+
     chosen = int(errors.argmin())
-    return RIDGE_FACTORS[chosen], x[:, chosen : chosen + 1].clone()
+    if not aside:
+        return Tried(RIDGE_FACTORS[chosen], *column(chosen))
+    usual = RIDGE_FACTORS.index(DEFAULT_FACTOR)
+    return Tried(RIDGE_FACTORS[chosen], *column(chosen), column(count), column(usual))
 
 
-def choose_drift(fit: Fit, validation: Sequence[int], factor: float, x: Tensor) -> tuple[Kind, float, Tensor]:
-    """Whether frames have an offset, or a gain as well; the ridge's factor then, and the unknowns `[D, 1]` to go on from.
+def choose_drift(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tried]:
+    """Whether frames have an offset, or a gain as well; and the ridge and the unknowns to go on from.
 
     A frame's own offset and gain are unknown where the frame was not fitted, so models are compared by *differences* within validation
     frames: by the mean absolute error after the best offset, or gain and offset, has been taken out for both alike. And levels must not
     suffer by more than a quarter: where offsets go with the camera's path, harmonics predict them, and who wants temperatures as the
     camera would show them is served better so.
     """
-    images, valid = fit.images(x), fit.data.valid
-    whole, left = (_squares(fit.drift(kind, images, fit.everywhere)[1], valid) for kind in ("off", "gain-offset"))
-    if len(validation) < DRIFT_FRAMES or left > (1.0 - DRIFT_SHARE) * whole:
-        return "off", factor, x
     rest = [f for f in range(len(fit.data)) if f not in validation]
 
-    def level(kind: Kind, images: list[Tensor]) -> float:
+    def errors(kind: Kind, shown: Sequence[Tensor]) -> Tensor:
+        return torch.tensor([fit.error(kind, f, image) for f, image in zip(validation, shown, strict=True)])
+
+    def own(kind: Kind, shown: Sequence[Tensor]) -> float:
+        """Share of the error that goes with gains and offsets of the validation frames' own."""
+        return 1.0 - float(errors(kind, shown).sum() / errors("off", shown).sum())
+
+    def level(kind: Kind, images: Sequence[Tensor]) -> float:
         _, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(rest))
-        moved = [gain * images[f] + fit.median * (1.0 - gain) + offset for f in validation]
-        return sum(fit.error("off", f, image) for f, image in zip(validation, moved, strict=True))
+        return float(errors("off", [gain * images[f] + fit.median * (1.0 - gain) + offset for f in validation]).sum())
 
-    def solved(kind: Kind) -> tuple[Tensor, list[Tensor]]:
-        y, pictures = x, images
+    def better(kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
+        was = errors(kind, before)
+        gain = was - errors(kind, after)
+        return float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(validation) ** 0.5)
+
+    def of_validation(images: Sequence[Tensor]) -> list[Tensor]:
+        return [images[f] for f in validation]
+
+    def further(kind: Kind, images: Sequence[Tensor]) -> tuple[Tensor, Sequence[Tensor]]:
         turns = 2 if kind == "gain-offset" else 1  # gains alternate, offsets are eliminated
+        x = tried.x
         for _ in range(turns):
-            problem, shown = fit.problem((factor,), rest, drift=fit.gauged(kind, pictures)), [i[..., None] for i in pictures]
-            y = solve(problem, y, iterations=DRIFT_ITERATIONS // turns, shown=shown, each=fit.each).x
-            pictures = fit.images(y)
-        return y, pictures
+            problem = fit.problem((tried.factor,), rest, drift=fit.gauged(kind, images))
+            shown = [i[..., None] for i in images]
+            x = solve(problem, x, iterations=DRIFT_ITERATIONS // turns, shown=shown, each=fit.each).x
+            images = fit.images(x)
+        return x, images
 
-    chosen: Kind = "off"
-    limit = LEVEL_LOSS * level("off", images)
-    _, before = solved("off")
-    for kind in ("offset", "gain-offset"):
-        other, after = solved(kind)
-        better = torch.tensor([fit.error(kind, f, before[f]) - fit.error(kind, f, after[f]) for f in validation])
-        least = DRIFT_GAIN * sum(fit.error(kind, f, before[f]) for f in validation) / len(validation)
-        if level(kind, after) > limit:
-            break
-        if float(better.mean()) > max(least, float(better.std()) / len(validation) ** 0.5):
-            chosen = kind
-            factor, x = choose_ridge(fit, validation, other, fit.gauged(kind, after))  # it no longer stands up to drift
-            before = images = fit.images(x)
-    return chosen, factor, x
+    if tried.with_offsets is None or tried.without is None or len(validation) < DRIFT_FRAMES:
+        return "off", tried
+    if own("gain-offset", tried.shown) < DRIFT_SHARE:
+        return "off", tried
+    limit = LEVEL_LOSS * float(errors("off", tried.shown).sum())
+    kind: Kind = "off"
+    images = fit.images(tried.with_offsets[0])
+    if level("offset", images) > limit:
+        return kind, tried
+    if better("offset", tried.without[1], tried.with_offsets[1]):
+        kind = "offset"  # and the ridge no longer has to stand up to drift
+        tried = choose_ridge(fit, validation, tried.with_offsets[0], fit.gauged(kind, images))
+    images = fit.images(tried.x)
+    before, (gained, after) = further(kind, images)[1], further("gain-offset", images)
+    if level("gain-offset", after) <= limit and better("gain-offset", of_validation(before), of_validation(after)):
+        kind = "gain-offset"
+        tried = choose_ridge(fit, validation, gained, fit.gauged(kind, after))
+    return kind, tried
 
 
 def reweighted(
@@ -268,9 +317,8 @@ def reweighted(
     x, valid = start, fit.data.valid
     weights = fit.everywhere
     history: dict[str, list[float]] = {"step": [], "loss": []}
-    steps = 0
+    steps, images = 0, fit.images(x)
     for done in range(ROUNDS + 1):
-        images = fit.images(x)
         drift, left = fit.drift(kind, images, weights)
         rms = math.sqrt(_squares(left, valid) / (len(left) * float(valid.sum())))
         history["step"].append(steps)
@@ -282,6 +330,7 @@ def reweighted(
         shown = [i[..., None] for i in images]
         solution = solve(problem, x, iterations=ITERATIONS, tolerance=TOLERANCE, shown=shown, each=passes)
         x, steps = solution.x, steps + solution.iterations
+        images = [i[..., 0] for i in solution.shown or ()]
         passes.text = f"residual {rms:.4f}"
     drift, gain, offset = in_gauge(drift)
     return moved(fit.design, x, gain, fit.median * (1.0 - gain) + offset), drift, history
@@ -300,9 +349,15 @@ def _squares(residuals: Sequence[Tensor], valid: Tensor) -> float:
 
 
 def as_model(
-    x: Tensor, design: Design, rgb_model: RgbModel, span: LinearRange, sfm_per_metre: float, history: Mapping[str, list[float]]
+    x: Tensor,
+    design: Design,
+    rgb_model: RgbModel,
+    scores: LinearRange,
+    span: ThermalRange,
+    sfm_per_metre: float,
+    history: Mapping[str, list[float]],
 ) -> ThermalModel:
-    """The unknowns as colours that `render` shows without ever clamping.
+    """The unknowns, in units of `span`, as colours that `render` shows without ever clamping; `scores` becomes the model's `range`.
 
     Colour 0 is put at or below the lowest value that any Gaussian has in any direction: with band norms |sh_l|, a colour lies within
     Σ_{l ≥ 1} √((2l + 1) / 4π) · |sh_l| of its constant part.
@@ -315,13 +370,12 @@ def as_model(
     floor = floor - 1e-3 if floor < 0 else 0.0  # a thousandth of the range further, for the last digits of float32
     colors = harmonics / (1.0 - floor)
     colors[:, 0] += (-floor / (1.0 - floor) - 0.5) / sh.C0
-    width = span.hi - span.lo
     return ThermalModel(
         replace(rgb_model.gaussians.detach(), sh=colors[..., None].contiguous()),
         torch.tensor([(background - floor) / (1.0 - floor)]),
-        span,
+        scores,
         rgb_model.settings,
         float(sfm_per_metre),
         history,
-        LinearRange(span.lo + floor * width, span.hi),
+        extended(span, floor),
     )

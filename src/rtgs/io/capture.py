@@ -85,6 +85,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
         thermal_unit="relative" if rig_file.radiometry is None else "celsius",
         poses=poses,
         warnings=tuple(warnings),
+        planck=rig_file.radiometry if isinstance(rig_file.radiometry, PlanckRadiometry) else None,
     )
 
 

@@ -18,7 +18,7 @@ from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.images import IMAGE_SUFFIXES
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
-from rtgs.radiometry import LinearRange
+from rtgs.radiometry import Atmosphere, LinearRange, PlanckCalibration, PlanckRange, ThermalRange
 from rtgs.render import RenderSettings
 from rtgs.scale import ScaleEstimate
 from rtgs.scene import Capture, Scene
@@ -172,6 +172,11 @@ class RunFolder:
     def read_thermal(self, name: str = "thermal") -> ThermalModel:
         data = self.read_json(f"{name}.json")
         background, settings = self._common(data)
+        if not {"color_range", "drift"} <= data.keys():
+            path = self.path / f"{name}.json"
+            raise RtgsError(
+                f"{path}: has no color_range or no drift, so an older version wrote it. Remove it; `rtgs thermal {self.path}` fits anew."
+            )
         ply = read_thermal_ply(self.path / f"{name}.ply")
         found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
         return ThermalModel(
@@ -181,7 +186,7 @@ class RunFolder:
             settings,
             data["sfm_per_metre"],
             data["history"],
-            LinearRange(**data["color_range"]),
+            _color_range(data["color_range"]),
             {frame: (gain, offset) for frame, (gain, offset) in data["drift"].items()},
             GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         )
@@ -210,6 +215,14 @@ class RunFolder:
     @staticmethod
     def _common(data: dict[str, Any]) -> tuple[torch.Tensor, RenderSettings]:
         return torch.tensor(data["background"], dtype=torch.float32), RenderSettings(**data["settings"])
+
+
+def _color_range(data: dict[str, Any]) -> ThermalRange:
+    if "calibration" not in data:
+        return LinearRange(**data)
+    constants = dict(data["calibration"])
+    calibration = PlanckCalibration(**constants | {"atmosphere": Atmosphere(**constants["atmosphere"])})
+    return PlanckRange(calibration, data["lo_signal"], data["hi_signal"])
 
 
 def write_thermal_ply(path: Path, model: ThermalModel, *, celsius: bool, factor: float = 1.0) -> None:
