@@ -17,7 +17,7 @@ from rtgs.baselines import INERF_L1, INERF_SSIM, NGF_PYRAMID, OURS, RIVALS, Riva
 from rtgs.baselines.ngf_pyramid import Ngf
 from rtgs.benchmarks import synthetic
 from rtgs.benchmarks.ablation import ABLATION
-from rtgs.benchmarks.curves import REACH_PX, Curves, _Mean, replay
+from rtgs.benchmarks.curves import BESIDE_PX, REACH_PX, Curves, _Mean, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial
 from rtgs.benchmarks.synthetic import RUN, bench_synthetic, scene_config, tasks_of
@@ -222,12 +222,24 @@ def test_renders_stand_for_another_only_in_a_pit_that_they_are_sure_of(curvature
     mean = _Mean(pit, "any", None)  # type: ignore[arg-type]
     for s in 1 + REACH_PX * pit.pixel * np.linspace(-0.9, 0.9, 12):
         mean.mean(float(s))
+    mean._used.update(pit.nodes)  # its own, that is
     before = len(pit.rendered)
     slope = mean.loss_and_slope(0, math.log(1.0015))[1]
     assert len(pit.rendered) - before == renders
     assert renders or slope == pytest.approx(curvature * math.log(1.0015), abs=3 * noise / math.sqrt(12))
     mean.loss_and_slope(0, math.log(1 + 0.95 * REACH_PX * pit.pixel))  # beyond the last one: never
     assert len(pit.rendered) - before == renders + 1
+
+
+def test_another_runs_render_close_by_serves_once() -> None:
+    pit = Pit(2.0, 0.02)
+    beside = 1 + 0.5 * BESIDE_PX * pit.pixel
+    pit.node(beside, "any")
+    mean = _Mean(pit, "any", None)  # type: ignore[arg-type]
+    assert mean.loss_and_slope(0, 0.0)[1] == pit.nodes[beside][0, 1] and pit.rendered == [beside]
+    own = mean.loss_and_slope(0, 0.0)[1]
+    assert pit.rendered == [beside, 1.0] and own == pit.nodes[1.0][0, 1]
+    assert _Mean(pit, "any", None).loss_and_slope(0, math.log(1 + 2 * BESIDE_PX * pit.pixel)) and len(pit.rendered) == 3  # type: ignore[arg-type]
 
 
 def test_a_noisy_replay_ends_where_the_pit_is() -> None:

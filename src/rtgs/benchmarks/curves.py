@@ -9,7 +9,8 @@ renders that other runs left behind. Two kinds of loss need two ways.
 **Noisy losses.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render: the
 slope of the mean loss carries noise that is new every 0.02 % of s, often larger than the slope itself. A run averages it over its steps,
 an interpolation would freeze it and so invent minima. Such a run therefore renders at each of its steps, except in the pit where it
-settles: where a line through earlier renders close by on both sides says where the slope is zero to 0.015 %, it stands for one more.
+settles: where a line through earlier renders close by on both sides says where the slope is zero to 0.015 %, it stands for one more. And
+it takes what another run has rendered a twentieth of a pixel away, once: the noise there is as new to it as that of a render of its own.
 
 Cubics through values and slopes (Hermite) will not do for either: a render jumps where a Gaussian falls below the cut-off or two change
 places, values contain these jumps and slopes do not, so such a curve has other slopes than those that Adam sees, however fine the nodes.
@@ -32,6 +33,7 @@ from rtgs.scale import History, Objective, adam
 
 REACH_PX = 0.25  # of flow: renders of a noisy loss within it may stand for one more
 FEWEST = 8  # if they are so many
+BESIDE_PX = 0.06  # of flow: a render of another run within it serves, once
 SURE = 1.5e-4  # and their line is zero within this standard error, in θ
 _SETTLED = 2e-5  # in θ
 _MOST_ROUNDS = 6
@@ -106,6 +108,7 @@ class _Mean:
     chosen: Sequence[int] | None
     frames: Sequence[str] = ("mean",)
     _means: dict[float, NDArray[np.float64]] = field(default_factory=dict)
+    _used: set[float] = field(default_factory=set)
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
         smooth_px = self.curves.rival(self.key).smooth_px
@@ -142,7 +145,11 @@ class _Mean:
             error = float((values - line @ fit)[:, 1].std(ddof=2)) / math.sqrt(len(near))
             if error < SURE * fit[1, 1]:
                 return np.asarray(fit[0])
-        return self.mean(s)
+        beside = BESIDE_PX * self.curves.pixel
+        fresh = [place for place in self.curves.there(self.key, s - beside, s + beside) if place not in self._used]
+        place = min(fresh, key=lambda other: abs(other - s), default=s)
+        self._used.add(place)
+        return self.mean(place)
 
 
 def replay(

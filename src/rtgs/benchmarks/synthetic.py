@@ -154,7 +154,9 @@ def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:
                 folder.write(_by_ours(OWN[method], trial, task, variant, scenes[variant.key]))
             elif method == RUN:
                 folder.write(_by_run(trial, task, variant, scenes[variant.key]))
+        # The paper's first: the others are served by its renders, it by none but its own.
         descents = [(v, r) for v, m in missing for r in RIVALS if r.key == m]
+        descents.sort(key=lambda d: d[1] is not NGF_PYRAMID)
         for record in _by_replay(trial, task, scenes, descents):
             folder.write(record)
 
