@@ -41,7 +41,7 @@ class Unknown:
 
     def posterior(self, u: float, std: float) -> Freedom:
         """In the unit for people, from u (in standard deviations of the prior) and the amount's standard deviation."""
-        mean, after, before = (value * self.per_unit for value in (u * self.std, std, self.std))
+        mean, after, before = (float(value) * self.per_unit for value in (u * self.std, std, self.std))
         return Freedom(self.name, self.unit, mean, after, before, bool(after <= _DECIDED * before))
 
 
