@@ -23,7 +23,7 @@ from rtgs.scene import Scene
 SEEN_PX = 0.5  # a view sees a Gaussian that contributes this much to its pixels, all together
 SAMPLES = 8
 PROBES = 7  # random signs a view
-ITERATIONS = 20  # fewer leave the spread of the prior in what is seen least: too large rather than too small
+ITERATIONS = 40  # fewer leave the spread of the prior in what is seen least: too large rather than too small
 
 
 def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progress | None = None) -> GaussianTemperatures:
