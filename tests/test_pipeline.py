@@ -35,7 +35,9 @@ from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_pl
 from rtgs.pictures import to_picture
 from rtgs.pipeline import STAGES, Pipeline, RunFolder
 from rtgs.pipeline.folder import fingerprints
+from rtgs.pipeline.views import render_views
 from rtgs.progress import Progress
+from rtgs.radiometry import ObjectParameters, PlanckCalibration, PlanckRadiometry
 from rtgs.render import render
 from rtgs.scale.records import Refinement
 from rtgs.scene import Rig, Scene
@@ -405,7 +407,9 @@ def test_only_the_files_that_are_read_count(capture: Path, tmp_path: Path) -> No
     for name in (".DS_Store", "rgb/.DS_Store", "rgb/Thumbs.db", "notes.txt", "ground_truth.json"):
         (mine / name).write_text("whatever")
     assert fingerprints(mine, config) == before
-    for name in ("rig.json", "transforms.json", "rgb/frame_002.png", "thermal/frame_002.tiff"):
+    os.utime(mine / "rig.json", ns=(1, 1))
+    assert fingerprints(mine, config) == before  # counts by what it says
+    for name in ("transforms.json", "rgb/frame_002.png", "thermal/frame_002.tiff"):
         os.utime(mine / name, ns=(1, 1))
         after = fingerprints(mine, config)
         assert all(after[stage] != before[stage] for stage in STAGES), name
@@ -418,6 +422,19 @@ def test_only_the_files_that_are_read_count(capture: Path, tmp_path: Path) -> No
 
 
 # --- the truth is not looked at --------------------------------------------------------------------
+
+
+def test_another_emissivity_changes_no_pose_and_no_rgb_model(capture: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(capture, tmp_path / "capture"))
+    rig, config = strict_json(copy / "rig.json"), RunConfig()
+    before = fingerprints(copy, config)
+    rig["thermal"]["celsius_offset"] += 1.0
+    (copy / "rig.json").write_text(json.dumps(rig))
+    after = fingerprints(copy, config)
+    assert [s for s in STAGES if before[s] != after[s]] == ["scale", "thermal", "evaluate"]
+    rig["thermal"]["fl_x"] += 1.0
+    (copy / "rig.json").write_text(json.dumps(rig))
+    assert all(fingerprints(copy, config)[s] != after[s] for s in STAGES)
 
 
 def test_the_truth_is_never_read(capture: Path, finished: Path, tmp_path: Path, recorded: Any) -> None:
@@ -550,6 +567,25 @@ def test_render_writes_aligned_views(run: Path, tmp_path: Path, recorded: Any, v
         expected = (view.depth / view.alpha).numpy()[seen] / scale.sfm_per_metre
         np.testing.assert_allclose(read["depth.tiff"][seen], expected, rtol=1e-5)
         assert np.isnan(read["depth.tiff"][~seen]).all()
+
+
+def test_render_under_another_emissivity(capture: Path, run: Path, tmp_path: Path, recorded: Any) -> None:
+    """Where rig.json has Planck constants; the images are those of the same run, taken through the camera's formula."""
+    radiometry = PlanckRadiometry(
+        PlanckCalibration(15848.854, 0.014533112, 1414.9, 1.0, -4405.0), ObjectParameters(emissivity=0.95)
+    )
+    arguments = ["render", str(run), "--frames", "frame_001", "--out"]
+    pipeline, views = Pipeline(RunFolder(run), Recorder()), {}
+    assert recorded([*arguments, str(tmp_path / "no"), "--emissivity", "0.7"])[1] == 2  # linear counts
+    scene = replace(pipeline.scene, capture=replace(pipeline.capture, planck=radiometry))
+    for name, changes in (("as", {}), ("other", {"emissivity": 0.7, "reflected_c": -10.0})):
+        render_views(pipeline.folder, scene, tmp_path / name, ["frame_001"], viewpoint="thermal", **changes)  # type: ignore[arg-type]
+        views[name] = np.asarray(Image.open(tmp_path / name / "frame_001.thermal.tiff"))
+    expected = radiometry.reevaluated(views["as"], emissivity=0.7, reflected_c=-10.0)
+    np.testing.assert_allclose(views["other"], expected, atol=1e-3)
+    assert np.abs(views["other"] - views["as"]).mean() > 1.0
+    with pytest.raises(RtgsError, match=r"emissivity is 1\.7"):
+        render_views(pipeline.folder, scene, tmp_path / "bad", [], viewpoint="rgb", emissivity=1.7)
 
 
 def test_render_and_export_refuse(capture: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -167,7 +167,14 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
         pipeline.run("evaluate", again=True)
         _report(pipeline, reporter)
 
-    def render(run: Folder, out: Path, frames: tuple[str, ...] = (), viewpoint: Literal["rgb", "thermal"] = "rgb") -> None:
+    def render(
+        run: Folder,
+        out: Path,
+        frames: tuple[str, ...] = (),
+        viewpoint: Literal["rgb", "thermal"] = "rgb",
+        emissivity: float | None = None,
+        reflected_c: float | None = None,
+    ) -> None:
         """Render RGB, temperature and depth from the cameras of a run.
 
         Args:
@@ -175,13 +182,24 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             out: folder for NAME.rgb.png, NAME.thermal.png, NAME.thermal.tiff (°C) and NAME.depth.tiff (metres).
             frames: names of frames; all when none is given.
             viewpoint: whose camera to look through; everything is rendered from there, so it is aligned.
+            emissivity: temperatures as under this emissivity of the object instead of that in rig.json; nothing is fitted again.
+            reflected_c: likewise, under another apparent temperature of what the object reflects.
         """
         from rtgs.pipeline.views import render_views
 
         reporter = Terminal()
         pipeline = _opened(run, reporter)
         with reporter.stage("views") as progress:
-            render_views(pipeline.folder, pipeline.scene, out, frames, viewpoint=viewpoint, progress=progress)
+            render_views(
+                pipeline.folder,
+                pipeline.scene,
+                out,
+                frames,
+                viewpoint=viewpoint,
+                emissivity=emissivity,
+                reflected_c=reflected_c,
+                progress=progress,
+            )
         reporter.say(f"views: {out}")
 
     def export_(run: Folder, out: Path, metres: bool = False) -> None:

@@ -216,6 +216,15 @@ def _rig_transform(path: Path, data: Mapping[str, Any]) -> SE3:
     return transform if given[0] == "rgb_from_thermal" else transform.inverse()
 
 
+def without_radiometry(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What `rig.json` says of the cameras, and apart from it what it says of °C."""
+    thermal = data.get("thermal")
+    if not isinstance(thermal, Mapping):
+        return dict(data), {}
+    cameras = {key: value for key, value in thermal.items() if key not in _RADIOMETRY}
+    return {**data, "thermal": cameras}, {key: value for key, value in thermal.items() if key in _RADIOMETRY}
+
+
 def _radiometry(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> Radiometry | None:
     given = [key for key in (*_LINEAR, "unit", "planck") if key in thermal]
     ways = [key for key in given if key != "celsius_offset" or "celsius_per_count" not in given]  # those two are one way

@@ -17,6 +17,7 @@ from rtgs.errors import RtgsError
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.images import IMAGE_SUFFIXES
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
+from rtgs.io.rig import read_json_object, without_radiometry
 from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
 from rtgs.radiometry import Atmosphere, LinearRange, PlanckCalibration, PlanckRange, ThermalRange
 from rtgs.render import RenderSettings
@@ -253,18 +254,20 @@ def fingerprints(capture: Path, config: RunConfig) -> dict[Stage, str]:
     """What each stage depends on, as a hash chained from stage to stage.
 
     The capture counts by the names, sizes and times of the files that `load_capture` reads, and of no others: what a file browser
-    leaves there must not undo hours of training.
+    leaves there must not undo hours of training. `rig.json` counts by what it says, and its radiometry from the scale on: another
+    emissivity changes no pose and no RGB model.
     """
     folders = [capture / "sparse" / "0"] + [capture / name for name in ("rgb", "thermal")]
     files = [p for folder in folders if folder.is_dir() for p in folder.iterdir() if not p.name.startswith(".")]
     files = [p for p in files if p.parent == folders[0] or p.suffix.lower() in IMAGE_SUFFIXES]
-    files = sorted(p for p in (*files, capture / "rig.json", capture / "transforms.json") if p.is_file())
+    files = sorted(p for p in (*files, capture / "transforms.json") if p.is_file())
     listing = [(str(p.relative_to(capture)), p.stat().st_size, p.stat().st_mtime_ns) for p in files]
+    cameras, radiometry = without_radiometry(read_json_object(capture / "rig.json", missing="It holds both cameras."))
     ply = config.rgb_ply
     own: dict[Stage, Any] = {
-        "sfm": [listing, config.rgb_max_side, to_json(config.sfm)],
+        "sfm": [listing, cameras, config.rgb_max_side, to_json(config.sfm)],
         "rgb": [to_json(config.rgb), [str(ply), ply.stat().st_mtime_ns] if ply and ply.exists() else str(ply)],
-        "scale": to_json(config.scale),
+        "scale": [radiometry, to_json(config.scale)],
         "thermal": to_json(config.thermal),
         "evaluate": None,
     }

@@ -26,6 +26,8 @@ def render_views(
     names: Sequence[str],
     *,
     viewpoint: Literal["rgb", "thermal"],
+    emissivity: float | None = None,
+    reflected_c: float | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Render both models from one camera of each frame.
@@ -36,15 +38,25 @@ def render_views(
     Args:
         names: frames; all registered ones when empty.
         viewpoint: whose camera to look through; both models are rendered there, so RGB, temperature and depth are aligned.
+        emissivity, reflected_c: °C as they are under other object parameters than `rig.json`'s; nothing is fitted again.
 
     Raises:
-        RtgsError: a name that is no registered frame, or a run without a thermal model, or an `out` that is the run or lies in the capture.
+        RtgsError: object parameters for a capture without Planck constants, or outside their limits; a name that is no registered frame; a
+            run without a thermal model; an `out` that is the run or lies in the capture.
     """
     refuse_own_folders(folder, scene, out)
     unknown = sorted(set(names) - set(scene.world_from_rgb))
     if unknown:
         some = ", ".join(list(scene.world_from_rgb)[:3])
         raise RtgsError(f"render: frame {unknown[0]!r} is not in the run; its frames are {some}, …")
+    changes = {k: v for k, v in (("emissivity", emissivity), ("reflected_c", reflected_c)) if v is not None}
+    planck = scene.capture.planck
+    if changes and planck is None:
+        raise RtgsError(
+            f"render: {' and '.join(changes)} can be changed where rig.json has planck and object; this capture's temperatures are final."
+        )
+    if planck is not None:
+        planck.reevaluated(np.zeros(1), **changes)  # limits, before any work
     rgb, thermal, scale = folder.read_rgb(), folder.read_thermal(), folder.read_scale()
     camera = scene.rig.rgb if viewpoint == "rgb" else scene.rig.thermal
     unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
@@ -55,6 +67,9 @@ def render_views(
         pose = scene.rgb_from_world(name) if viewpoint == "rgb" else scene.thermal_from_world(name, scale.sfm_per_metre)
         temperature = thermal.render(camera, pose)
         lo, hi = thermal.range.lo, thermal.range.hi
+        if changes and planck is not None:
+            temperature = planck.reevaluated(temperature, **changes)
+            lo, hi = (float(v) for v in planck.reevaluated(np.array([lo, hi]), **changes))
         save_png(out / f"{name}.rgb.png", to_picture(rgb.render(camera, pose)))
         save_png(out / f"{name}.thermal.png", with_colour_bar(palette(temperature, lo, hi), lo, hi, unit))
         with torch.no_grad():
