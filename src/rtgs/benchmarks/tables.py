@@ -171,19 +171,19 @@ def _where(records: Sequence[Record], config: BenchSyntheticConfig) -> str:
 
 
 def _comparison(groups: dict[str, list[Record]]) -> list[str]:
-    """By how much this method is worse than the paper's where it is worst."""
+    """By how much this method is worse than the paper's where it is worst, and its intervals."""
+    text = []
     paper = {(r.scene, r.seed): r.error_pct for r in groups[NGF_PYRAMID.key]}
-    own = [(r.error_pct - paper[r.scene, r.seed], r) for r in groups[OURS.key] if (r.scene, r.seed) in paper]
-    if not own:
-        return []
-    excess, worst = max(own, key=lambda pair: pair[0])
-    where = f"{worst.scene}, seed {worst.seed}"
-    text = f"Ours less the paper's Adam on the same trial: at most {excess:+.2f} points ({where}: {worst.error_pct:.2f} %)."
-    widths = [r.half_width_pct for _, r in own if r.half_width_pct is not None]
-    inside = [abs(math.log(r.found / r.truth)) * 100 <= r.half_width_pct for _, r in own if r.half_width_pct is not None]
-    if widths:
-        text += f" Its 95 % interval: median half-width {np.median(widths):.2f} %, the truth inside in {sum(inside)} of {len(inside)}."
-    return [text, ""]
+    paired = [(r.error_pct - paper[r.scene, r.seed], r) for r in groups[OURS.key] if (r.scene, r.seed) in paper]
+    if paired:
+        excess, worst = max(paired, key=lambda pair: pair[0])
+        where = f"{worst.scene}, seed {worst.seed}: {worst.error_pct:.2f} %"
+        text.append(f"Ours less the paper's Adam on the same {len(paired)} trials: at most {excess:+.2f} points ({where}).")
+    known = [(abs(math.log(r.found / r.truth)) * 100, r.half_width_pct) for r in groups[OURS.key] if r.half_width_pct is not None]
+    if known:
+        inside, width = sum(error <= half for error, half in known), np.median([half for _, half in known])
+        text.append(f"Its 95 % interval: median half-width {width:.2f} %, the truth inside in {inside} of {len(known)}.")
+    return [" ".join(text), ""] if text else []
 
 
 def _checks(records: Sequence[Record]) -> list[str]:
