@@ -27,7 +27,7 @@ from rtgs.scale import Objective, ScaleEstimate, adam, estimate_scale
 from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log, freedoms
 from rtgs.scale.descend import descend
-from rtgs.scale.interval import bootstrap, curve_minima, curve_minimum, hermite, interval
+from rtgs.scale.interval import LocalCurves, bootstrap, curve_minima, curve_minimum, hermite, interval, widened
 from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
@@ -859,3 +859,16 @@ def test_the_interval_covers(calibration: float) -> None:
     # 300 trials know a share of 95 % to ± 2.5 % (two standard errors); resampling 18 frames is itself an approximation.
     assert 0.90 <= held / trials <= 0.99
     assert np.median(widths) < 2.2 * math.hypot(0.05 / math.sqrt(18) * math.sqrt(2), calibration)
+
+
+class Flat:
+    """An objective that says nothing."""
+
+    def evaluate(self, index: int, theta: float) -> Evaluation:
+        assert abs(theta) < 50, "so far out nothing is to be looked for"
+        return Evaluation(1.0, 0.0, 1.0)
+
+
+def test_a_loss_that_says_nothing_is_not_followed_for_ever() -> None:
+    curves = LocalCurves(Flat(), Counter(None))  # type: ignore[arg-type]
+    assert not widened(curves, range(6), -20.0, half_width=1e6, pixel=1e6, seed=0)

@@ -171,7 +171,7 @@ def _result(
     std_log, ci95, reason, std = None, None, doubt, scene.rig.calibration_std
     calibration = None if std is None else calibration_std_log(objective, scene.rig, found.theta, std, local.frames)
     if len(frames) > 1:
-        model = MODEL_PIXELS * 2 * limits[0] / math.exp(found.theta)
+        model = min(MODEL_PIXELS * 2 * limits[0] / math.exp(found.theta), 2 * _WIDEST)
         std_log, ci95 = interval(grid, curves, found.theta, math.hypot(model, calibration or 0.0), config.seed)
         if not reason and not closed:
             reason = (

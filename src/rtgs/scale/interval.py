@@ -15,6 +15,7 @@ from rtgs.scale.records import Counter
 _RESAMPLES = 1000
 _GRID = 257
 _MOST_DOUBLINGS = 6
+_FARTHEST = 3.0  # in θ: no window of curves reaches further, whatever a pixel of flow would ask for
 _MOST_SETTLINGS = 4
 MODEL_PIXELS = 0.05
 """Edges of a render lie beside those of the photograph, in many frames alike: by how much, as `benchmarks/scale_coverage.py` has it."""
@@ -103,7 +104,7 @@ def widened(curves: LocalCurves, frames: Sequence[int], theta: float, half_width
     Returns:
         Whether they do; else the loss is flat as far as was looked.
     """
-    block = block_length(len(frames))
+    block, half_width = block_length(len(frames)), min(half_width, _FARTHEST / 4)
     thetas = nodes(theta, half_width, pixel)
     for doubling in range(_MOST_DOUBLINGS):
         curves.extend(frames, thetas)
@@ -114,6 +115,8 @@ def widened(curves: LocalCurves, frames: Sequence[int], theta: float, half_width
         if inside > 0.99 and grid[0] < best < grid[-1]:
             return True
         reach = half_width * 2 ** (doubling + 1)
+        if reach > _FARTHEST:
+            break
         thetas = [theta - reach, theta + reach]
     return False
 
