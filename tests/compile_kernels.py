@@ -18,5 +18,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         capture, run = Path(folder) / "capture", Path(folder) / "run"
         write_capture(capture, SynthConfig(frames=10, size=48, supersampling=1, thermal_clean=False))
-        tiny = "--rgb.steps 20 --rgb.random-points 250 --scale.solver adam --scale.steps 2 --scale.scan-samples 25 --thermal.steps 4"
+        tiny = (
+            "--rgb.steps 20 --rgb.random-points 250 --scale.solver adam --scale.steps 2 --scale.scan-samples 25 --thermal.steps 4"
+        )
         main(["run", str(capture), "--out", str(run), *tiny.split()])

@@ -19,7 +19,7 @@ from rtgs.fit_thermal.frames import ThermalFrames
 from rtgs.fit_thermal.least_squares import solve
 from rtgs.fit_thermal.linear import DEFAULT_FACTOR, Fit, as_model, gather, ridge
 from rtgs.geometry import look_at
-from rtgs.models import RgbModel, ThermalModel
+from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.radiometry import LinearRange
 from rtgs.scene import Scene
 from rtgs.sh import C0, basis, coefficients
@@ -421,3 +421,13 @@ def test_temperatures_are_what_the_views_see() -> None:
     seen = found.views >= 14
     assert np.median(np.abs(found.temperature - true_c)[seen]) < 0.05
     assert (found.std > 0).all() and len(found.std) == len(rgb.gaussians)
+
+
+def test_a_held_out_frame_has_the_drift_of_its_neighbours_as_far_as_they_agree() -> None:
+    slow = np.sin(np.arange(40) / 6.0)[:, None] * (0.0, 2.0)
+    between_them = between(slow, slow[:, 1], 11)
+    assert between_them[1] == pytest.approx(slow[10:12, 1].mean(), rel=0.06) and between_them[0] == 0.0
+    wild = np.random.default_rng(1).normal(size=(400, 2))
+    assert np.abs(between(wild, wild[:, 1], 200)).max() < 0.15
+    assert between(slow, slow[:, 1], 0)[1] == pytest.approx(slow[0, 1], abs=0.1)
+    assert between(slow, slow[:, 1], 40)[1] == pytest.approx(slow[39, 1], rel=0.06)

@@ -31,7 +31,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """Held-out PSNR, SSIM, LPIPS and temperature error.
 
-    Nothing is fitted to a held-out frame. Thermal PSNR, SSIM and LPIPS are in the fixed range of the training images (`LinearRange`), on
+    Nothing is fitted to a held-out frame. Where the model has drift, a render gets what the frames beside it let expect
+    (`ThermalModel.drift_of`). Thermal PSNR, SSIM and LPIPS are in the fixed range of the training images (`LinearRange`), on
     valid pixels; LPIPS sees them as gray pictures, clipped to the range.
 
     Args:
@@ -59,7 +60,8 @@ def evaluate(
             save_png(renders / "rgb" / f"{frame.name}.error.png", error_map(view, frame.rgb, RGB_ERROR_LIMIT))
         mask = scene.capture.thermal_mask
         for key, model in thermal_models.items():
-            temperature = model.render(scene.rig.thermal, scene.thermal_from_world(frame.name, model.sfm_per_metre))
+            pose = scene.thermal_from_world(frame.name, model.sfm_per_metre)
+            temperature = model.render(scene.rig.thermal, pose, photographed_in=frame.name)
             a, b = model.range.normalise(temperature), model.range.normalise(frame.thermal)
             scores[key][frame.name] = {
                 **_likeness(a, b, mask, lpips),

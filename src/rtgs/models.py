@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -54,6 +55,22 @@ class GaussianTemperatures:
     views: NDArray[np.float32]
 
 
+def between(drift: NDArray[np.float64], levels: NDArray[np.float64], at: int) -> NDArray[np.float64]:
+    """What a frame without a drift of its own probably has: that of the frames before and after it, as far as neighbours agree at all.
+
+    Args:
+        drift: `[F, K]`, deviations from none, in the order of the frames. levels: `[F]`, what they do to the scene's level.
+        at: how many of them come before the frame.
+
+    Returns:
+        `[K]`: the neighbours' mean times the levels' correlation from frame to frame, which a sensor that drifts slowly brings close
+        to 1, and independent offsets to 0.
+    """
+    away = levels - levels.mean()
+    alike = float(away[1:] @ away[:-1]) / max(float(away @ away), 1e-30)
+    return np.asarray(max(0.0, alike) * drift[max(at - 1, 0) : at + 1].mean(axis=0))
+
+
 @dataclass(frozen=True, eq=False)
 class ThermalModel:
     """The RGB model's geometry with thermal colours.
@@ -87,8 +104,22 @@ class ThermalModel:
         """What colours 0 and 1 stand for."""
         return self.color_range or self.range
 
-    def render(self, camera: Camera, camera_from_world: SE3) -> NDArray[np.float32]:
-        """`[h, w]` temperatures in °C (or counts)."""
+    def drift_of(self, frame: str) -> tuple[float, float]:
+        """Gain and offset of a frame: its own, or what those before and after it in the order of names let expect (`between`)."""
+        if frame in self.drift or not self.drift:
+            return self.drift.get(frame, (1.0, 0.0))
+        names, span = sorted(self.drift), self.colors.linear
+        away = np.array([self.drift[name] for name in names]) - (1.0, 0.0)
+        gain, offset = between(away, away @ (0.5 * (span.lo + span.hi), 1.0), bisect(names, frame))
+        return 1.0 + float(gain), float(offset)
+
+    def render(self, camera: Camera, camera_from_world: SE3, *, photographed_in: str | None = None) -> NDArray[np.float32]:
+        """`[h, w]` temperatures in °C (or counts): the scene's, or as the camera would show them in a frame, with its drift."""
         with torch.no_grad():
             view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
-        return self.colors.expand(view[..., 0].numpy())
+        colors = view[..., 0].numpy()
+        if photographed_in is not None and self.drift:
+            gain, offset = self.drift_of(photographed_in)
+            span = self.colors.linear
+            colors = span.normalise(gain * span.expand(colors).astype(np.float64) + offset)
+        return self.colors.expand(colors)

@@ -7,6 +7,7 @@ colours and nothing is clamped; `as_model` states them so that `render`'s ½ and
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
 from rtgs.fit_thermal.frames import ThermalFrames, color_range, training_range
 from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
-from rtgs.models import RgbModel, ThermalModel
+from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
@@ -255,9 +256,9 @@ def choose_drift(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kin
     """Whether frames have an offset, or a gain as well; and the ridge and the unknowns to go on from.
 
     A frame's own offset and gain are unknown where the frame was not fitted, so models are compared by *differences* within validation
-    frames: by the mean absolute error after the best offset, or gain and offset, has been taken out for both alike. And levels must not
-    suffer by more than a quarter: where offsets go with the camera's path, harmonics predict them, and who wants temperatures as the
-    camera would show them is served better so.
+    frames: by the mean absolute error after the best offset, or gain and offset, has been taken out for both alike. And levels, with the
+    drift that neighbours let expect, must not suffer by more than a quarter: where offsets go with the camera's path, harmonics predict
+    them, and who wants temperatures as the camera would show them is served better so.
     """
     rest = [f for f in range(len(fit.data)) if f not in validation]
 
@@ -269,8 +270,14 @@ def choose_drift(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kin
         return 1.0 - float(errors(kind, shown).sum() / errors("off", shown).sum())
 
     def level(kind: Kind, images: Sequence[Tensor]) -> float:
-        _, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(rest))
-        return float(errors("off", [gain * images[f] + fit.median * (1.0 - gain) + offset for f in validation]).sum())
+        drift, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(rest))
+        away = torch.stack([drift.gain - 1.0, drift.offset], dim=1).double().numpy()
+        shown = []
+        for f in validation:
+            own_gain, own_offset = between(away, away[:, 1], bisect(rest, f))
+            scene = gain * (images[f] - fit.median) + offset
+            shown.append(fit.median + float(own_offset) + (1.0 + float(own_gain)) * scene)
+        return float(errors("off", shown).sum())
 
     def better(kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
         was = errors(kind, before)
