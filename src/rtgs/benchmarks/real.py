@@ -167,7 +167,7 @@ def _fitted(scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: Ben
     mask = scene.capture.thermal_mask
 
     def image(name: str) -> NDArray[np.float32]:
-        view = model.render(scene.rig.thermal, scene.thermal_from_world(name, sfm_per_metre))
+        view = model.render(scene.rig.thermal, scene.thermal_from_world(name, sfm_per_metre), photographed_in=name)
         return np.where(mask, view, np.float32(np.nan))
 
     return {f.name: image(f.name) for f in scene.held_out_frames}
