@@ -219,3 +219,15 @@ def test_pictures_are_written(tmp_path: Path) -> None:
     assert len(np.unique(reference[~mask], axis=0)) == 1  # gray where the sensor saw nothing
     before, after = (np.asarray(Image.open(tmp_path / "overlay" / f"000.{when}.png")) for when in ("before", "after"))
     assert not np.array_equal(before, after)
+
+
+def test_a_held_out_photograph_is_compared_with_the_drift_of_its_neighbours() -> None:
+    scene, rgb, thermal = perfect()
+    offsets = {frame.name: 0.5 * k for k, frame in enumerate(scene.capture.frames)}  # °C, a sensor that warms up
+    frames = tuple(replace(f, thermal=f.thermal + np.float32(offsets[f.name])) for f in scene.capture.frames)
+    warming = replace(scene, capture=replace(scene.capture, frames=frames))
+    drift = {name: (1.0, offset) for name, offset in offsets.items() if name not in HELD_OUT}
+    known, unknown = (evaluate(warming, rgb, m)["thermal"]["per_frame"] for m in (replace(thermal, drift=drift), thermal))
+    expected = replace(thermal, drift=drift).drift_of("008")[1]
+    assert 2.0 < expected < 4.0 and unknown["008"]["mae_c"] == pytest.approx(4.0, abs=1e-3)
+    assert known["008"]["mae_c"] == pytest.approx(4.0 - expected, abs=1e-3)
