@@ -21,6 +21,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, is_rotation, look_at, rotation_from_axis_angle
 from rtgs.image import GRAY_WEIGHTS
 from rtgs.io.rig import read_rig
+from rtgs.losses import NgfPyramid
 from rtgs.models import RgbModel
 from rtgs.render import RenderSettings, render
 from rtgs.scale import Objective, ScaleEstimate, adam, estimate_scale
@@ -500,20 +501,38 @@ def cloud(seed: int) -> Gaussians:
     return ball
 
 
+FORWARDS = replace(RIG, rgb_from_thermal=SE3(RIG.rgb_from_thermal.rotation, np.array([0.05, 0.02, 0.2])))
+
+
+def spiral(seed: int, rig: Rig, sfm_per_metre: float, unit: float = 1.0) -> tuple[Scene, RgbModel]:
+    """A cloud seen from thirteen places about it, in whatever unit."""
+    model = RgbModel(cloud(seed).scaled(sfm_per_metre), torch.full((3,), 0.4), RenderSettings(near_plane=0.05 * unit))
+    poses = []
+    for k in range(13):
+        angle = 0.55 * k
+        eye = np.array([2.8 * math.cos(angle), 2.8 * math.sin(angle), 0.5 + 0.4 * math.sin(2.1 * k)])
+        poses.append(look_at(eye, [0, 0, 0]).with_baseline_scaled(sfm_per_metre))
+    return drawn(model, poses, rig, sfm_per_metre, noise=0.3), model
+
+
+def test_a_loss_per_edge_does_not_prefer_to_stand_nearer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the baseline points forwards, Eq. 6 with an ε of the size of edges falls with their number and sharpness."""
+    scene, model = spiral(1, FORWARDS, 1.3)
+    per_edge = estimate_scale(scene, model, GLOBAL).sfm_per_metre
+    of = NgfPyramid.of
+    monkeypatch.setattr(NgfPyramid, "of", lambda *args, **more: of(*args, **(more | {"per_edge": False})))
+    eq_6 = estimate_scale(scene, model, GLOBAL).sfm_per_metre
+    assert abs(per_edge / 1.3 - 1) < 0.01
+    assert abs(eq_6 / 1.3 - 1) > 0.015
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_global_search_finds_the_truth_in_any_unit(seed: int) -> None:
     truth, found = 1.3, []
     # The second rig's baseline points forwards, the third camera's field of view is another.
-    rig = RIG if seed != 1 else replace(RIG, rgb_from_thermal=SE3(RIG.rgb_from_thermal.rotation, np.array([0.05, 0.02, 0.2])))
-    rig = rig if seed != 2 else replace(rig, thermal=replace(rig.thermal, fl_x=48.0, fl_y=47.0))
+    rig = (RIG, FORWARDS, replace(RIG, thermal=replace(RIG.thermal, fl_x=48.0, fl_y=47.0)))[seed]
     for unit in (1e-4, 1.0, 1e4):
-        model = RgbModel(cloud(seed).scaled(unit * truth), torch.full((3,), 0.4), RenderSettings(near_plane=0.05 * unit))
-        poses = []
-        for k in range(13):
-            angle = 0.55 * k
-            eye = np.array([2.8 * math.cos(angle), 2.8 * math.sin(angle), 0.5 + 0.4 * math.sin(2.1 * k)])
-            poses.append(look_at(eye, [0, 0, 0]).with_baseline_scaled(unit * truth))
-        scene = drawn(model, poses, rig, unit * truth, noise=0.3)
+        scene, model = spiral(seed, rig, unit * truth, unit)
         estimate = estimate_scale(scene, model, GLOBAL)
         assert estimate.solver == "global" and estimate.status == "ok" and estimate.reason == ""
         assert estimate.sfm_per_metre == pytest.approx(unit * truth, rel=0.01)

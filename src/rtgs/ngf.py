@@ -8,6 +8,8 @@ run over the render and over its tangents, and a pixel gives its share of the sl
 `NgfPyramid.residuals` is c = n × m and e = √(1 − ‖n‖²‖m‖²), and with u = 1 − ‖n‖² = ε²·q and v = 1 − ‖m‖², without cancellation,
 
     e² = u + v − u·v,    ė = −‖m‖²·p·q·u / e.
+
+Per edge, a level's N = Σ (n · m)² is over the root mean square of ‖n‖, whose square's derivative is 2·Σ n · ṅ = 2·Σ p·q·u.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from rtgs.losses import NgfPyramid
+from rtgs.losses import LEAST_STRENGTH, NgfPyramid
 
 F = np.float32
 _BAND = 16  # rows a thread takes at a time
@@ -38,39 +40,52 @@ class Products:
 class FusedNgf:
     """Eq. 7 against one fixed image, for float32 pictures. Build with `FusedNgf.of`."""
 
-    targets: tuple[NDArray[np.float32], ...]  # [3, h, w] a level: m and v
-    shares: tuple[float, ...]  # w_l / (Σ w · pixels)
+    targets: tuple[NDArray[np.float32], ...]  # [4, h, w] a level: m, v, and 1 where valid
+    pixels: tuple[int, ...]  # valid ones; at least 1
+    shares: tuple[float, ...]  # w_l / Σ w
     epsilons: tuple[float, ...]
+    per_edge: bool
 
     @staticmethod
     def of(pyramid: NgfPyramid) -> FusedNgf:
         """Take a target over; a pyramid built in float64 keeps v exact where ε is small."""
-        targets, shares = [], []
-        total = sum(pyramid.level_weights)
-        for level, weight in zip(pyramid.levels, pyramid.level_weights, strict=True):
+        targets = []
+        for level in pyramid.levels:
             m = level.gradient
-            plane = [m[0], m[1], 1.0 - m.square().sum(0)]
-            targets.append(np.stack([t.numpy() for t in plane]).astype(np.float32))
-            shares.append(weight / total / max(level.pixels, 1))
-        return FusedNgf(tuple(targets), tuple(shares), pyramid.render_epsilons)
+            planes = [m[0], m[1], 1.0 - m.square().sum(0), level.valid]
+            targets.append(np.stack([t.numpy() for t in planes]).astype(np.float32))
+        total = sum(pyramid.level_weights)
+        pixels = tuple(max(level.pixels, 1) for level in pyramid.levels)
+        shares = tuple(weight / total for weight in pyramid.level_weights)
+        return FusedNgf(tuple(targets), pixels, shares, pyramid.render_epsilons, pyramid.per_edge)
 
     def loss(self, image: NDArray[np.float32]) -> float:
         """Eq. 7 of `[H, W]` float32."""
         agreement = 0.0
         for level, target in enumerate(self.targets):
             image = image if level == 0 else _halved(image[None])[0]
-            agreement += self.shares[level] * _agreement(image, target, F(self.epsilons[level] ** 2)).sum()
+            found, square = _agreement(image, target, F(self.epsilons[level] ** 2)).sum(axis=0) / self.pixels[level]
+            agreement += self.shares[level] * found / self._strength(square)
         return float(1.0 - agreement)
 
     def products(self, image: NDArray[np.float32], tangents: NDArray[np.float32]) -> Products:
-        """Eq. 7 of `[H, W]` with its derivatives along the tangents `[K, H, W]`."""
+        """Eq. 7 of `[H, W]` with its derivatives along the tangents `[K, H, W]`; per edge, the matrix is `NgfPyramid.residuals`'."""
         stack = np.concatenate([image[None], tangents])
         k = len(tangents)
-        sums = np.zeros(1 + k + k * k)
+        agreement, slope, matrix = 0.0, np.zeros(k), np.zeros(k * k)
         for level, target in enumerate(self.targets):
             stack = stack if level == 0 else _halved(stack)
-            sums += self.shares[level] * _products(stack, target, F(self.epsilons[level] ** 2)).sum(axis=0)
-        return Products(float(1.0 - sums[0]), -2.0 * sums[1 : 1 + k], 2.0 * sums[1 + k :].reshape(k, k))
+            sums = _products(stack, target, F(self.epsilons[level] ** 2)).sum(axis=0) / self.pixels[level]
+            found, square, rates, changes, squares = sums[0], sums[1], sums[2 : 2 + k], sums[2 + k : 2 + 2 * k], sums[2 + 2 * k :]
+            strength = self._strength(square)
+            share = self.shares[level] / strength
+            agreement += share * found
+            slope += share * (rates - 0.5 * found / square * changes if self.per_edge and strength > LEAST_STRENGTH else rates)
+            matrix += share * squares
+        return Products(float(1.0 - agreement), -2.0 * slope, 2.0 * matrix.reshape(k, k))
+
+    def _strength(self, square: float) -> float:
+        return max(float(np.sqrt(square)), LEAST_STRENGTH) if self.per_edge else 1.0
 
 
 # --- kernels ---
@@ -100,31 +115,35 @@ def _gradient_row(above, middle, below, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @njit(fastmath=_FAST, cache=True)
-def _agreement_row(gx, gy, mx, my, epsilon2):  # type: ignore[no-untyped-def]
-    total = F(0.0)
+def _agreement_row(gx, gy, mx, my, valid, epsilon2):  # type: ignore[no-untyped-def]
+    """Σ (n · m)² and Σ ‖n‖² of a row."""
+    total, squares = F(0.0), F(0.0)
     for x in range(len(gx)):
         dot = gx[x] * mx[x] + gy[x] * my[x]
-        total += dot * dot / (gx[x] * gx[x] + gy[x] * gy[x] + epsilon2)
-    return total
+        square = gx[x] * gx[x] + gy[x] * gy[x]
+        q = F(1.0) / (square + epsilon2)
+        total += dot * dot * q
+        squares += valid[x] * square * q
+    return total, squares
 
 
 @njit(fastmath=_FAST, cache=True, parallel=True)
 def _agreement(image, target, epsilon2):  # type: ignore[no-untyped-def]
-    """`[rows]`: Σ (n · m)² over each row."""
+    """`[rows, 2]`: Σ (n · m)² and Σ ‖n‖² over each row."""
     rows, columns = target.shape[1], target.shape[2]
-    sums = np.zeros(rows)
+    sums = np.zeros((rows, 2))
     for band in prange((rows + _BAND - 1) // _BAND):
         gx, gy = np.empty(columns, np.float32), np.empty(columns, np.float32)
         for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
             _gradient_row(image[y], image[y + 1], image[y + 2], gx, gy)
-            sums[y] = _agreement_row(gx, gy, target[0, y], target[1, y], epsilon2)
+            sums[y] = _agreement_row(gx, gy, target[0, y], target[1, y], target[3, y], epsilon2)
     return sums
 
 
 @njit(fastmath=_FAST, cache=True)
-def _tangent_row(gx, gy, hx, hy, mx, my, v, epsilon2, cross, rest):  # type: ignore[no-untyped-def]
-    """Fill ċ and ė of a row; return Σ (n · m)(ṅ · m)."""
-    total = F(0.0)
+def _tangent_row(gx, gy, hx, hy, mx, my, v, valid, epsilon2, cross, rest):  # type: ignore[no-untyped-def]
+    """Fill ċ and ė of a row; return Σ (n · m)(ṅ · m) and Σ n · ṅ."""
+    total, change = F(0.0), F(0.0)
     for x in range(len(gx)):
         p = gx[x] * hx[x] + gy[x] * hy[x]
         q = F(1.0) / (gx[x] * gx[x] + gy[x] * gy[x] + epsilon2)
@@ -132,8 +151,9 @@ def _tangent_row(gx, gy, hx, hy, mx, my, v, epsilon2, cross, rest):  # type: ign
         total += q * (gx[x] * mx[x] + gy[x] * my[x]) * (wx * mx[x] + wy * my[x])
         cross[x] = np.sqrt(q) * (wx * my[x] - wy * mx[x])
         u = epsilon2 * q
+        change += valid[x] * p * q * u
         rest[x] = (v[x] - F(1.0)) * p * q * u / np.sqrt(max(u + v[x] - u * v[x], _LEAST_E2))
-    return total
+    return total, change
 
 
 @njit(fastmath=_FAST, cache=True)
@@ -146,23 +166,25 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @njit(fastmath=_FAST, cache=True, parallel=True)
 def _products(stack, target, epsilon2):  # type: ignore[no-untyped-def]
-    """`[rows, 1 + K + K²]`: over each row, Σ (n · m)², Σ (n · m)(ṅ · m) and Σ JᵀJ. `stack`: the render and its tangents."""
+    """`[rows, 2 + 2·K + K²]`: over each row, Σ (n · m)², Σ ‖n‖², Σ (n · m)(ṅ · m), Σ n · ṅ and Σ JᵀJ. `stack`: render, tangents."""
     rows, columns = target.shape[1], target.shape[2]
     ways = stack.shape[0] - 1
-    sums = np.zeros((rows, 1 + ways + ways * ways))
+    first = 2 + 2 * ways  # of the matrix
+    sums = np.zeros((rows, first + ways * ways))
     for band in prange((rows + _BAND - 1) // _BAND):
         row = np.empty((4, columns), np.float32)
         residual = np.empty((2 * ways, columns), np.float32)
         gx, gy, hx, hy = row[0], row[1], row[2], row[3]
         for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
-            mx, my, v = target[0, y], target[1, y], target[2, y]
+            mx, my, v, valid = target[0, y], target[1, y], target[2, y], target[3, y]
             _gradient_row(stack[0, y], stack[0, y + 1], stack[0, y + 2], gx, gy)
-            sums[y, 0] = _agreement_row(gx, gy, mx, my, epsilon2)
+            sums[y, 0], sums[y, 1] = _agreement_row(gx, gy, mx, my, valid, epsilon2)
             for k in range(ways):
                 _gradient_row(stack[k + 1, y], stack[k + 1, y + 1], stack[k + 1, y + 2], hx, hy)
-                sums[y, 1 + k] = _tangent_row(gx, gy, hx, hy, mx, my, v, epsilon2, residual[2 * k], residual[2 * k + 1])
+                cross, rest = residual[2 * k], residual[2 * k + 1]
+                sums[y, 2 + k], sums[y, 2 + ways + k] = _tangent_row(gx, gy, hx, hy, mx, my, v, valid, epsilon2, cross, rest)
                 for j in range(k + 1):
                     product = _dot(residual[2 * j], residual[2 * k]) + _dot(residual[2 * j + 1], residual[2 * k + 1])
-                    sums[y, 1 + ways + j * ways + k] = product
-                    sums[y, 1 + ways + k * ways + j] = product
+                    sums[y, first + j * ways + k] = product
+                    sums[y, first + k * ways + j] = product
     return sums

@@ -83,8 +83,7 @@ def _fine_levels(image: NDArray[np.float64], mask: NDArray[np.bool_], axis: int)
 def model_error(scene: Scene, model: RgbModel, frame: Frame) -> Tensor:
     """The model's gray picture minus the photograph, from the RGB camera at the thermal camera's pixels per degree: `[H, W]`.
 
-    The mean gradient of it is the ε of renders. Their own mean gradient would not do: the loss 1 − (n_A · n_B)² falls with ‖n_A‖, so an
-    ε of the size of true edges rewards scales that sharpen or enlarge them, above all where the baseline points forwards.
+    Its mean gradient measures the ε of renders: what is no edge of the scene should not count as one.
     """
     rig = scene.rig
     share = min(1.0, rig.thermal.fl_x / rig.rgb.fl_x)

@@ -39,6 +39,7 @@ class Objective:
         frames: which frames; training frames only.
         level_weights: of Eq. 7, beginning with the level of the pictures compared.
         epsilon: of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the thermal image's.
+        per_edge: each level over the strength of the render's edges (`NgfPyramid.of`).
         reduction: compare pictures reduced by this factor: rendered small, not rendered and shrunk.
         thermal: frame name → image `[h, w]` in [0, 1]; None: the frames' own over their common range.
     """
@@ -54,6 +55,7 @@ class Objective:
         level_weights: tuple[float, ...],
         epsilon: float | tuple[float, ...],
         render_epsilon: float | tuple[float, ...] | None = None,
+        per_edge: bool = False,
         reduction: int = 1,
         thermal: Mapping[str, NDArray[np.float32]] | None = None,
     ) -> None:
@@ -77,7 +79,7 @@ class Objective:
             images = [thermal[f.name] for f in frames]
         # A target in float64 keeps 1 − ‖n‖² exact for the fused kernels; the torch path computes in the model's own type.
         self._is_fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
-        self._level_weights, self._epsilons = level_weights, (epsilon, render_epsilon)
+        self._level_weights, self._epsilons, self._per_edge = level_weights, (epsilon, render_epsilon), per_edge
         self._images, self._mask = images, downsample_mask(mask, reduction)
         self._pyramids: dict[int, NgfPyramid] = {}
         self._fused: dict[int, FusedNgf] = {}
@@ -92,6 +94,7 @@ class Objective:
                 level_weights=self._level_weights,
                 epsilon=self._epsilons[0],
                 render_epsilon=self._epsilons[1],
+                per_edge=self._per_edge,
             )
         return self._pyramids[index]
 

@@ -25,6 +25,7 @@ _RATIO = 0.25  # of neighbouring scales in the scan, where the flow is small
 _MOST_MINIMA = 3
 _AROUND = (-4.0, -2.0, 0.0, 2.0, 4.0)  # coarse pixels of flow from the answer
 UNLIKELY = 3.0  # standard errors
+_EDGE = 3.0  # mean gradients from which on one is an edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ class Pictures:
     ) -> Pictures:
         """Remove the sensor's pattern, and measure ε where none is given.
 
-        The thermal images' ε comes from themselves, the renders' from the model's errors against RGB images.
+        It is three mean gradients: of the thermal images for them, of the model's errors against RGB images for the renders.
         """
         valid = scene.capture.thermal_mask
         pattern = sensor_pattern(np.stack([f.thermal for f in frames]), valid)
@@ -67,7 +68,8 @@ class Pictures:
         thermal = {f.name: image for f, image in zip(frames, scaled, strict=True)}
         levels = len(level_weights) + halvings(scene)
         if epsilon is not None:
-            return Pictures(scene, model, tuple(frames), thermal, level_weights, (epsilon,) * levels, (epsilon,) * levels)
+            given = (epsilon,) * levels
+            return Pictures(scene, model, tuple(frames), thermal, level_weights, given, given)
         own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels)
         drawn = frames[:: -(-len(frames) // EPSILON_FRAMES)]
         errors = []
@@ -75,12 +77,12 @@ class Pictures:
             errors.append(model_error(scene, model, frame))
             counter("noise")
         everywhere = np.ones(errors[0].shape, dtype=bool)
-        return Pictures(
-            scene, model, tuple(frames), thermal, level_weights, own, mean_gradients(errors, everywhere, levels), len(drawn)
-        )
+        other = mean_gradients(errors, everywhere, levels)
+        own, other = (tuple(_EDGE * e for e in measured) for measured in (own, other))
+        return Pictures(scene, model, tuple(frames), thermal, level_weights, own, other, len(drawn))
 
     def objective(self, halved: int = 0) -> Objective:
-        """Eq. 7 on pictures halved so many times: with the level weights at full size, on two equal levels below. Made once."""
+        """Eq. 7, per edge, on pictures halved so many times: the level weights at full size, two equal levels below. Made once."""
         if halved not in self.objectives:
             self.objectives[halved] = self._objective(halved)
         return self.objectives[halved]
@@ -100,6 +102,7 @@ class Pictures:
             level_weights=weights,
             epsilon=self.epsilon[levels],
             render_epsilon=self.render_epsilon[levels],
+            per_edge=True,
             reduction=2**halved,
             thermal=self.thermal,
         )
