@@ -8,9 +8,7 @@ renders that other runs left behind. Two kinds of loss need two ways.
 
 **Noisy losses.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render: the
 slope of the mean loss carries noise that is new every 0.02 % of s, often larger than the slope itself. A run averages it over its steps,
-an interpolation would freeze it and so invent minima. Such a run therefore renders at each of its steps, except in the pit where it
-settles: where a line through earlier renders close by on both sides says where the slope is zero to 0.015 %, it stands for one more. And
-it takes what another run has rendered a twentieth of a pixel away, once: the noise there is as new to it as that of a render of its own.
+an interpolation would freeze it and so invent minima. Such a run renders at each of its steps.
 
 Cubics through values and slopes (Hermite) will not do for either: a render jumps where a Gaussian falls below the cut-off or two change
 places, values contain these jumps and slopes do not, so such a curve has other slopes than those that Adam sees, however fine the nodes.
@@ -20,7 +18,7 @@ from __future__ import annotations
 
 import math
 import time
-from bisect import bisect_left, bisect_right, insort
+from bisect import bisect_right, insort
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -31,10 +29,6 @@ from rtgs.baselines import ImageLoss, Rival
 from rtgs.config import ScaleConfig
 from rtgs.scale import History, Objective, adam
 
-REACH_PX = 0.25  # of flow: renders of a noisy loss within it may stand for one more
-FEWEST = 8  # if they are so many
-BESIDE_PX = 0.06  # of flow: a render of another run within it serves, once
-SURE = 1.5e-4  # and their line is zero within this standard error, in θ
 _SETTLED = 2e-5  # in θ
 _MOST_ROUNDS = 6
 
@@ -70,11 +64,6 @@ class Curves:
             self._render(s, [k for k, (rival, _) in self._losses.items() if not (rival.smooth and not self.rival(key).smooth)])
         return self._found[key][s]
 
-    def there(self, key: str, low: float, high: float) -> list[float]:
-        """The nodes of a loss with low < s < high, rising."""
-        places = self._places[key]
-        return places[bisect_right(places, low) : bisect_left(places, high)]
-
     def around(self, key: str, s: float) -> tuple[float | None, float | None]:
         """The next nodes of a loss: the last at or below s, the first above."""
         places = self._places[key]
@@ -108,13 +97,10 @@ class _Mean:
     chosen: Sequence[int] | None
     frames: Sequence[str] = ("mean",)
     _means: dict[float, NDArray[np.float64]] = field(default_factory=dict)
-    _used: set[float] = field(default_factory=set)
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
-        smooth_px = self.curves.rival(self.key).smooth_px
-        found = (
-            self._noisy(math.exp(theta)) if smooth_px is None else self._smooth(math.exp(theta), smooth_px * self.curves.pixel)
-        )
+        smooth_px, s = self.curves.rival(self.key).smooth_px, math.exp(theta)
+        found = self.mean(s) if smooth_px is None else self._smooth(s, smooth_px * self.curves.pixel)
         return float(found[0]), float(found[1])
 
     def mean(self, s: float) -> NDArray[np.float64]:
@@ -134,22 +120,6 @@ class _Mean:
         assert left is not None and right is not None
         share = (s - left) / (right - left)
         return (1.0 - share) * self.mean(left) + share * self.mean(right)
-
-    def _noisy(self, s: float) -> NDArray[np.float64]:
-        reach = REACH_PX * self.curves.pixel
-        near = self.curves.there(self.key, s - reach, s + reach)
-        if len(near) >= FEWEST and near[0] < s < near[-1]:
-            apart, values = np.log(np.array(near) / s), np.array([self.mean(place) for place in near])
-            line = np.vander(apart, 2, increasing=True)
-            fit, *_ = np.linalg.lstsq(line, values, rcond=None)
-            error = float((values - line @ fit)[:, 1].std(ddof=2)) / math.sqrt(len(near))
-            if error < SURE * fit[1, 1]:
-                return np.asarray(fit[0])
-        beside = BESIDE_PX * self.curves.pixel
-        fresh = [place for place in self.curves.there(self.key, s - beside, s + beside) if place not in self._used]
-        place = min(fresh, key=lambda other: abs(other - s), default=s)
-        self._used.add(place)
-        return self.mean(place)
 
 
 def replay(

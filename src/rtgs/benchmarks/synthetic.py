@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.baselines import INERF_L1, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS, Own, Rival
+from rtgs.baselines import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS, Own, Rival
 from rtgs.benchmarks.ablation import ABLATION
 from rtgs.benchmarks.curves import Curves, replay
 from rtgs.benchmarks.records import BenchFolder, Record
 from rtgs.benchmarks.scenery import Trial, prepare
-from rtgs.benchmarks.tables import write_tables
+from rtgs.benchmarks.tables import RUN, write_tables
 from rtgs.benchmarks.variants import FAR, FAR_SCENE, ROWS, Variant, groups
 from rtgs.config import PAPER_EPSILON, BenchSyntheticConfig, BenchTable, ScaleConfig, SceneName, SynthConfig, to_json
 from rtgs.progress import Progress
-from rtgs.scale import Objective, ScaleEstimate, estimate_scale
+from rtgs.scale import Objective, ScaleEstimate, adam
 from rtgs.scale.bracket import flow_per_unit
 from rtgs.scale.objective import thermal_range
 from rtgs.scene import Frame, Scene
@@ -32,7 +32,6 @@ from rtgs.scene import Frame, Scene
 PAPER = ScaleConfig(solver="adam")  # 200 steps at 5e-3, all frames
 WIDEST_PIXEL = 0.03  # of s: what stands for a pixel of flow where s hardly flows
 SETTLED_SHARE = 0.005
-RUN = f"{NGF_PYRAMID.key}_run"  # the paper's Adam as it is, to check its replay
 OWN = {own.key: own for own in (OURS, OURS_REFINED, *ABLATION)}
 _METHODS: dict[BenchTable, tuple[str, ...]] = {
     "1": (*(r.key for r in RIVALS), OURS.key),
@@ -154,7 +153,7 @@ def _perform(out: str, config: BenchSyntheticConfig, task: Task) -> None:
                 folder.write(_by_ours(OWN[method], trial, task, variant, scenes[variant.key]))
             elif method == RUN:
                 folder.write(_by_run(trial, task, variant, scenes[variant.key]))
-        # The paper's first: the others are served by its renders, it by none but its own.
+        # The paper's first: smooth losses are served by its renders.
         descents = [(v, r) for v, m in missing for r in RIVALS if r.key == m]
         descents.sort(key=lambda d: d[1] is not NGF_PYRAMID)
         for record in _by_replay(trial, task, scenes, descents):
@@ -180,20 +179,33 @@ def _by_ours(own: Own, trial: Trial, task: Task, variant: Variant, scene: Scene)
 
 
 def _by_run(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
-    """The paper's Adam, rendering at every step."""
-    config = ScaleConfig(solver="adam", init=trial.start)
+    """Adam, rendering at every step."""
+    objective = MUTUAL_INFORMATION.objective(_pictures(trial, scene), _normalised(scene), scene.capture.thermal_mask)
     started = time.process_time()
-    estimate = estimate_scale(_reduced(scene, variant), trial.model, config)
+    theta, history = adam(objective, math.log(trial.start), PAPER)
     seconds = time.process_time() - started
     return _record(
         trial,
         task,
         variant,
         RUN,
-        estimate.sfm_per_metre,
-        iterations=_iterations(estimate.history.sfm_per_metre),
-        renders=estimate.renders,
+        math.exp(theta),
+        iterations=_iterations(history.sfm_per_metre),
+        renders=PAPER.steps * len(objective.frames),
         seconds=seconds,
+    )
+
+
+def _pictures(trial: Trial, scene: Scene) -> Objective:
+    """What descents render: of all training frames."""
+    return Objective(
+        scene,
+        trial.model.gaussians,
+        trial.model.background,
+        trial.model.settings,
+        scene.train_frames,
+        level_weights=PAPER.level_weights,
+        epsilon=PAPER_EPSILON,
     )
 
 
@@ -207,21 +219,12 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
     rig = replace(rig, rgb_from_thermal=rig.rgb_from_thermal.with_baseline_scaled(1.0 / factor))
     scene = replace(first, capture=replace(first.capture, rig=rig))
     frames = scene.train_frames
-    pictures = Objective(
-        scene,
-        trial.model.gaussians,
-        trial.model.background,
-        trial.model.settings,
-        frames,
-        level_weights=PAPER.level_weights,
-        epsilon=PAPER_EPSILON,
-    )
     flow = flow_per_unit(scene, trial.model.gaussians, trial.model.settings)
     pixel = min(1.0 / float(np.percentile(flow, 90)), WIDEST_PIXEL * trial.truth)
     thermal = {v.key: _normalised(scenes[v.key]) for v, _ in descents}
     mask = scene.capture.thermal_mask
-    losses = {f"{v.key}.{r.key}": (r, [r.loss(image, mask) for image in thermal[v.key]]) for v, r in descents}
-    curves = Curves(pictures, losses, pixel)
+    losses = {f"{v.key}.{r.key}": (r, [r.loss(image, mask) for image in thermal[v.key].values()]) for v, r in descents}
+    curves = Curves(_pictures(trial, scene), losses, pixel)
     for variant, rival in descents:
         chosen = None if variant.frames is None else [frames.index(f) for f in _chosen(scene, variant)]
         key, factor = f"{variant.key}.{rival.key}", variant.length_factor
@@ -259,11 +262,10 @@ def _reduced(scene: Scene, variant: Variant) -> Scene:
     return replace(scene, world_from_rgb={f.name: scene.world_from_rgb[f.name] for f in _chosen(scene, variant)})
 
 
-def _normalised(scene: Scene) -> list[NDArray[np.float32]]:
+def _normalised(scene: Scene) -> dict[str, NDArray[np.float32]]:
     """Thermal images of the training frames in [0, 1], over their common range."""
-    images = [f.thermal for f in scene.train_frames]
-    lo, hi = thermal_range([image[scene.capture.thermal_mask] for image in images], 0.0)
-    return [((image - lo) / (hi - lo)).astype(np.float32) for image in images]
+    lo, hi = thermal_range([f.thermal[scene.capture.thermal_mask] for f in scene.train_frames], 0.0)
+    return {f.name: ((f.thermal - lo) / (hi - lo)).astype(np.float32) for f in scene.train_frames}
 
 
 def _iterations(path: Sequence[float]) -> int:
