@@ -142,22 +142,22 @@ def distance(a: Rig, b: Rig) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    "what, error, offset",
+    "what, error, offset, left",
     [
-        ("rotation", turned, 0.0),
-        ("baseline-direction", tilted, 0.0),
-        ("focal", zoomed, 0.0),
-        ("time-offset", lambda rig: rig, 0.3),
+        ("rotation", turned, 0.0, 0.25),
+        ("baseline-direction", tilted, 0.0, 0.35),  # one of its two sides is hardly seen
+        ("focal", zoomed, 0.0, 0.05),
+        ("time-offset", lambda rig: rig, 0.3, 0.25),
     ],
 )
-def test_a_known_error_is_recovered(what: str, error: Change, offset: float) -> None:
+def test_a_known_error_is_recovered(what: str, error: Change, offset: float, left: float) -> None:
     scene, model = sequence(offset)
     off = with_rig(scene, error(STATED))
     plain, refined = (estimate_scale(off, model, ScaleConfig(solver="global", init=1.0, refine=names)) for names in ((), (what,)))
     assert abs(math.log(refined.sfm_per_metre)) < max(0.01, 0.5 * abs(math.log(plain.sfm_per_metre)))
     before = distance(off.rig, replace(STATED, time_offset=offset))[what]
     after = distance(refined.refined_scene(off).rig, replace(STATED, time_offset=offset))[what]
-    assert before > 0.9 and after < 0.35 * before
+    assert before > 0.9 and after < left * before
     assert refined.refinement is not None and refined.refinement.before == plain.sfm_per_metre
     assert refined.ci95 is not None and refined.ci95[0] < 1.0 < refined.ci95[1]
     assert refined.refined_scene(off).rig.baseline_m == pytest.approx(off.rig.baseline_m, rel=1e-9)  # never refined
