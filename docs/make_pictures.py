@@ -26,7 +26,12 @@ IMAGES = Path(__file__).parent / "images"
 def edges(run: Path) -> None:
     """Thermal edges on the gray render of the RGB model, before and after, and the thermal render, of one held-out frame."""
     name = sorted(p.name.removesuffix(".after.png") for p in (run / "renders" / "overlay").glob("*.after.png"))[-1]
-    files = [f"overlay/{name}.before.png", f"overlay/{name}.after.png", f"thermal/{name}.reference.png", f"thermal/{name}.render.png"]
+    files = [
+        f"overlay/{name}.before.png",
+        f"overlay/{name}.after.png",
+        f"thermal/{name}.reference.png",
+        f"thermal/{name}.render.png",
+    ]
     pictures = [np.asarray(Image.open(run / "renders" / f).convert("RGB")) for f in files]
     labels = ["scale ignored", "scale found", "thermal image (held out)", "rendered"]
     Image.fromarray(side_by_side(pictures, labels)).save(IMAGES / "edges.jpg", quality=90)

@@ -55,6 +55,17 @@ def test_sobel_equals_opencv_and_scipy() -> None:
         np.testing.assert_allclose(gradient, ndimage.sobel(image.numpy(), axis=axis)[inner], atol=1e-12)
 
 
+def test_smoothed_otherwise_it_is_scharrs_or_a_central_difference() -> None:
+    image = textured()
+    inner = (slice(1, -1), slice(1, -1))
+    gx, gy = sobel(image, (0.75, 2.5))
+    for gradient, order in ((gx, (1, 0)), (gy, (0, 1))):
+        np.testing.assert_allclose(4 * gradient, cv2.Scharr(image.numpy(), cv2.CV_64F, *order)[inner], atol=1e-12)
+    gx, gy = sobel(image, (0.0, 4.0))
+    torch.testing.assert_close(gx, 4 * (image[1:-1, 2:] - image[1:-1, :-2]))
+    torch.testing.assert_close(gy, 4 * (image[2:, 1:-1] - image[:-2, 1:-1]))
+
+
 def test_sobel_of_a_ramp_is_eight_times_its_slope() -> None:
     gx, gy = sobel(ramp(9, 7, (3.0, -2.0)))
     torch.testing.assert_close(gx, torch.full((7, 5), 8 * 3.0 / 50, dtype=torch.float64))

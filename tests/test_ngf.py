@@ -9,6 +9,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
+from rtgs.image import SOBEL
 from rtgs.losses import NgfPyramid, normalized_gradient
 from rtgs.ngf import FusedNgf
 
@@ -31,10 +32,13 @@ def pyramid(
     masked: bool,
     weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS,
     per_edge: bool = False,
+    across: tuple[float, float] = SOBEL,
 ) -> NgfPyramid:
     image = torch.where(holes(), textured(seed=1), torch.tensor(torch.nan, dtype=torch.float64)) if masked else textured(seed=1)
     mask = holes() if masked else None
-    return NgfPyramid.of(image, mask, level_weights=weights, epsilon=epsilon, render_epsilon=0.2, per_edge=per_edge)
+    return NgfPyramid.of(
+        image, mask, level_weights=weights, epsilon=epsilon, render_epsilon=0.2, per_edge=per_edge, across=across
+    )
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -50,9 +54,13 @@ def test_the_residuals_squared_norm_is_eq_7(epsilon: float | tuple[float, ...], 
 
 @pytest.mark.parametrize("per_edge", [False, True])
 @pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("epsilon", [PAPER_EPSILON, 0.2, (0.01, 0.1, 0.4)])
-def test_kernels_equal_the_reference(epsilon: float | tuple[float, ...], masked: bool, per_edge: bool) -> None:
-    target, render = pyramid(epsilon, masked, per_edge=per_edge), textured(seed=2)
+@pytest.mark.parametrize(
+    "epsilon, across", [(PAPER_EPSILON, SOBEL), (0.2, SOBEL), ((0.01, 0.1, 0.4), SOBEL), (0.2, (0.75, 2.5)), (0.2, (0.0, 4.0))]
+)
+def test_kernels_equal_the_reference(
+    epsilon: float | tuple[float, ...], across: tuple[float, float], masked: bool, per_edge: bool
+) -> None:
+    target, render = pyramid(epsilon, masked, per_edge=per_edge, across=across), textured(seed=2)
     tangents = torch.stack([textured(seed=s) - 0.5 for s in (3, 4, 5)])
     fused = FusedNgf.of(target)
     image, ways = render.float().numpy(), tangents.float().numpy()

@@ -24,7 +24,7 @@ from rtgs.io.rig import read_rig
 from rtgs.losses import NgfPyramid
 from rtgs.models import RgbModel
 from rtgs.render import RenderSettings, render
-from rtgs.scale import Objective, ScaleEstimate, adam, estimate_scale
+from rtgs.scale import Comparison, Objective, ScaleEstimate, adam, estimate_scale
 from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log, freedoms
 from rtgs.scale.descend import descend
@@ -515,13 +515,11 @@ def spiral(seed: int, rig: Rig, sfm_per_metre: float, unit: float = 1.0) -> tupl
     return drawn(model, poses, rig, sfm_per_metre, noise=0.3), model
 
 
-def test_a_loss_per_edge_does_not_prefer_to_stand_nearer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loss_per_edge_does_not_prefer_to_stand_nearer() -> None:
     """Where the baseline points forwards, Eq. 6 with an ε of the size of edges falls with their number and sharpness."""
     scene, model = spiral(1, FORWARDS, 1.3)
     per_edge = estimate_scale(scene, model, GLOBAL).sfm_per_metre
-    of = NgfPyramid.of
-    monkeypatch.setattr(NgfPyramid, "of", lambda *args, **more: of(*args, **(more | {"per_edge": False})))
-    eq_6 = estimate_scale(scene, model, GLOBAL).sfm_per_metre
+    eq_6 = estimate_scale(scene, model, GLOBAL, comparison=Comparison(per_edge=False)).sfm_per_metre
     assert abs(per_edge / 1.3 - 1) < 0.01
     assert abs(eq_6 / 1.3 - 1) > 0.015
 
@@ -718,6 +716,39 @@ def test_an_epsilon_of_the_size_of_edges_rewards_larger_edges() -> None:
         curves = np.array([[loss.loss(i, t) for t in thetas] for i in range(len(loss.frames))])
         off.append(abs(curve_minimum(thetas, curves.mean(axis=0))))
     assert off[0] < 0.01 and off[1] > 0.02
+
+
+def test_a_comparison_may_count_only_what_the_model_covers() -> None:
+    scene, model = spiral(0, RIG, 1.3)
+    of = {
+        c: Pictures.of(scene, model, scene.train_frames, (1.0,), None, Counter(None), Comparison(covered=c))
+        for c in (False, True)
+    }
+    theta, frame = math.log(1.2), scene.train_frames[2]
+    index = scene.train_frames.index(frame)
+    whole, covered = (of[c].objective() for c in (False, True))
+    assert of[True].masks is not None
+    mask = of[True].masks[frame.name]
+    assert 0.05 < mask.mean() < 0.95
+    target = NgfPyramid.of(
+        torch.from_numpy(of[True].thermal[frame.name]).double(),
+        torch.from_numpy(mask),
+        level_weights=(1.0,),
+        epsilon=of[True].epsilon[0],
+        render_epsilon=of[True].render_epsilon[0],
+        per_edge=True,
+    )
+    gray = covered.gray(index, torch.tensor(theta, dtype=torch.float64)).double()
+    assert covered.loss(index, theta) == pytest.approx(float(target(gray)), abs=1e-5)
+    assert abs(covered.loss(index, theta) - whole.loss(index, theta)) > 1e-3
+
+
+@pytest.mark.parametrize("across", [(0.75, 2.5), (0.0, 4.0)])
+def test_other_derivative_filters_find_the_scale_too(across: tuple[float, float]) -> None:
+    scene, model = spiral(0, RIG, 1.3)
+    found = estimate_scale(scene, model, GLOBAL, comparison=Comparison(across=across)).sfm_per_metre
+    assert abs(found / 1.3 - 1) < 0.01
+    assert found != estimate_scale(scene, model, GLOBAL).sfm_per_metre
 
 
 def stripes(rng: np.random.Generator, shape: tuple[int, int], size: float) -> np.ndarray:

@@ -8,25 +8,30 @@ from torch import Tensor
 # ITU-R BT.601 luma, the paper's "fixed grayscale conversion" g.
 GRAY_WEIGHTS = (0.299, 0.587, 0.114)
 
+# Weights (beside, in the middle) across a 3×3 derivative filter.
+SOBEL = (1.0, 2.0)
+
 
 def to_gray(rgb: Tensor) -> Tensor:
     """`[..., 3]` → `[...]`."""
     return rgb @ torch.tensor(GRAY_WEIGHTS, dtype=rgb.dtype)
 
 
-def sobel(image: Tensor) -> tuple[Tensor, Tensor]:
+def sobel(image: Tensor, across: tuple[float, float] = SOBEL) -> tuple[Tensor, Tensor]:
     """∂/∂x and ∂/∂y by the 3×3 Sobel filters of Eq. 5, unnormalised.
 
     Args:
         image: `[H, W]`.
+        across: another smoothing across the derivative than Sobel's 1, 2, 1: (beside, in the middle).
 
     Returns:
         Two `[H − 2, W − 2]`: only pixels whose nine neighbours exist.
     """
     # Separable: smooth across, then difference along.
-    down = image[:-2] + 2 * image[1:-1] + image[2:]
-    across = image[:, :-2] + 2 * image[:, 1:-1] + image[:, 2:]
-    return down[:, 2:] - down[:, :-2], across[2:] - across[:-2]
+    beside, middle = across
+    down = beside * (image[:-2] + image[2:]) + middle * image[1:-1]
+    right = beside * (image[:, :-2] + image[:, 2:]) + middle * image[:, 1:-1]
+    return down[:, 2:] - down[:, :-2], right[2:] - right[:-2]
 
 
 def downsample(image: Tensor, factor: int) -> Tensor:

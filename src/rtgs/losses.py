@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 
 from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
-from rtgs.image import downsample, downsample_mask, erode_for_sobel, sobel
+from rtgs.image import SOBEL, downsample, downsample_mask, erode_for_sobel, sobel
 
 LEAST_STRENGTH = 1e-6
 """Of a render's edges in the loss per edge: one without any costs 1, as in Eq. 6."""
 
 
-def normalized_gradient(image: Tensor, epsilon: float = PAPER_EPSILON) -> Tensor:
-    """Eq. 5: ∇I / √(‖∇I‖² + ε²) of `[H, W]`, as `[2, H − 2, W − 2]`."""
-    gx, gy = sobel(image)
+def normalized_gradient(image: Tensor, epsilon: float = PAPER_EPSILON, across: tuple[float, float] = SOBEL) -> Tensor:
+    """Eq. 5: ∇I / √(‖∇I‖² + ε²) of `[H, W]`, as `[2, H − 2, W − 2]`; `across` as in `image.sobel`."""
+    gx, gy = sobel(image, across)
     # hypot-free: ε² underflows float32 only below 1e-19, far under any ε in use.
     inverse = torch.rsqrt(gx * gx + gy * gy + epsilon * epsilon)
     return torch.stack([gx * inverse, gy * inverse])
@@ -48,9 +48,9 @@ class _Level:
     pixels: int
 
     @staticmethod
-    def of(image: Tensor, epsilon: float, mask: Tensor) -> _Level:
+    def of(image: Tensor, epsilon: float, mask: Tensor, across: tuple[float, float] = SOBEL) -> _Level:
         valid = erode_for_sobel(mask)
-        gradient = normalized_gradient(image, epsilon)
+        gradient = normalized_gradient(image, epsilon, across)
         return _Level(torch.where(valid, gradient, torch.zeros_like(gradient)), valid, int(valid.sum()))  # not a product: NaN · 0
 
     def loss(self, gradient: Tensor, per_edge: bool) -> Tensor:
@@ -76,6 +76,7 @@ class NgfPyramid:
     level_weights: tuple[float, ...]
     render_epsilons: tuple[float, ...]
     per_edge: bool = False
+    across: tuple[float, float] = SOBEL
 
     @staticmethod
     def of(
@@ -86,6 +87,7 @@ class NgfPyramid:
         epsilon: float | tuple[float, ...] = PAPER_EPSILON,
         render_epsilon: float | tuple[float, ...] | None = None,
         per_edge: bool = False,
+        across: tuple[float, float] = SOBEL,
     ) -> NgfPyramid:
         """Prepare the target.
 
@@ -96,6 +98,7 @@ class NgfPyramid:
             epsilon: ε of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the image's.
             per_edge: ℓ = 1 − mean (n_A · n_B)² / rms ‖n_A‖. With an ε as large as edges are, Eq. 6 falls wherever the render has more
                 or stronger edges, as it has from nearer by; over their own strength they have to agree for it.
+            across: as in `image.sobel`.
         """
         if mask is None:
             mask = torch.ones_like(image, dtype=torch.bool)
@@ -104,8 +107,8 @@ class NgfPyramid:
         other = (
             own if render_epsilon is None else (render_epsilon,) * count if isinstance(render_epsilon, float) else render_epsilon
         )
-        levels = tuple(_Level.of(downsample(image, 2**l), own[l], downsample_mask(mask, 2**l)) for l in range(count))
-        return NgfPyramid(levels, level_weights, other, per_edge)
+        levels = tuple(_Level.of(downsample(image, 2**l), own[l], downsample_mask(mask, 2**l), across) for l in range(count))
+        return NgfPyramid(levels, level_weights, other, per_edge, across)
 
     def to(self, dtype: torch.dtype) -> NgfPyramid:
         """The same target in another floating type."""
@@ -116,7 +119,7 @@ class NgfPyramid:
         """Σ_l w_l ℓ_NGF(D_l A, D_l B) / Σ_l w_l for a render A `[H, W]`."""
         total = torch.zeros((), dtype=render.dtype)
         for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
-            gradient = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l])
+            gradient = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l], self.across)
             total = total + weight * level.loss(gradient, self.per_edge)
         return total / sum(self.level_weights)
 
@@ -129,7 +132,7 @@ class NgfPyramid:
         """
         parts = []
         for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
-            n, m = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l]), level.gradient
+            n, m = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l], self.across), level.gradient
             share = math.sqrt(weight / sum(self.level_weights) / max(level.pixels, 1))
             scale = level.strength(n).detach().rsqrt() if self.per_edge else 1.0
             if not level.pixels:  # costs 1 whatever the render

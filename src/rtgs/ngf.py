@@ -45,6 +45,7 @@ class FusedNgf:
     shares: tuple[float, ...]  # w_l / Σ w
     epsilons: tuple[float, ...]
     per_edge: bool
+    across: tuple[float, float]
 
     @staticmethod
     def of(pyramid: NgfPyramid) -> FusedNgf:
@@ -57,14 +58,16 @@ class FusedNgf:
         total = sum(pyramid.level_weights)
         pixels = tuple(max(level.pixels, 1) for level in pyramid.levels)
         shares = tuple(weight / total for weight in pyramid.level_weights)
-        return FusedNgf(tuple(targets), pixels, shares, pyramid.render_epsilons, pyramid.per_edge)
+        return FusedNgf(tuple(targets), pixels, shares, pyramid.render_epsilons, pyramid.per_edge, pyramid.across)
 
     def loss(self, image: NDArray[np.float32]) -> float:
         """Eq. 7 of `[H, W]` float32."""
         agreement = 0.0
         for level, target in enumerate(self.targets):
             image = image if level == 0 else _halved(image[None])[0]
-            found, square = _agreement(image, target, F(self.epsilons[level] ** 2)).sum(axis=0) / self.pixels[level]
+            found, square = (
+                _agreement(image, target, F(self.epsilons[level] ** 2), *map(F, self.across)).sum(axis=0) / self.pixels[level]
+            )
             agreement += self.shares[level] * found / self._strength(square)
         return float(1.0 - agreement)
 
@@ -75,7 +78,7 @@ class FusedNgf:
         agreement, slope, matrix = 0.0, np.zeros(k), np.zeros(k * k)
         for level, target in enumerate(self.targets):
             stack = stack if level == 0 else _halved(stack)
-            sums = _products(stack, target, F(self.epsilons[level] ** 2)).sum(axis=0) / self.pixels[level]
+            sums = _products(stack, target, F(self.epsilons[level] ** 2), *map(F, self.across)).sum(axis=0) / self.pixels[level]
             found, square, rates, changes, squares = sums[0], sums[1], sums[2 : 2 + k], sums[2 + k : 2 + 2 * k], sums[2 + 2 * k :]
             strength = self._strength(square)
             share = self.shares[level] / strength
@@ -108,10 +111,10 @@ def _halved(stack):  # type: ignore[no-untyped-def]
 
 
 @njit(fastmath=_ORDERED, cache=True)
-def _gradient_row(above, middle, below, gx, gy):  # type: ignore[no-untyped-def]
+def _gradient_row(above, middle, below, side, centre, gx, gy):  # type: ignore[no-untyped-def]
     for x in range(len(gx)):
-        gx[x] = (above[x + 2] - above[x]) + F(2.0) * (middle[x + 2] - middle[x]) + (below[x + 2] - below[x])
-        gy[x] = (below[x] - above[x]) + F(2.0) * (below[x + 1] - above[x + 1]) + (below[x + 2] - above[x + 2])
+        gx[x] = side * ((above[x + 2] - above[x]) + (below[x + 2] - below[x])) + centre * (middle[x + 2] - middle[x])
+        gy[x] = side * ((below[x] - above[x]) + (below[x + 2] - above[x + 2])) + centre * (below[x + 1] - above[x + 1])
 
 
 @njit(fastmath=_FAST, cache=True)
@@ -128,14 +131,14 @@ def _agreement_row(gx, gy, mx, my, valid, epsilon2):  # type: ignore[no-untyped-
 
 
 @njit(fastmath=_FAST, cache=True, parallel=True)
-def _agreement(image, target, epsilon2):  # type: ignore[no-untyped-def]
+def _agreement(image, target, epsilon2, side, centre):  # type: ignore[no-untyped-def]
     """`[rows, 2]`: Σ (n · m)² and Σ ‖n‖² over each row."""
     rows, columns = target.shape[1], target.shape[2]
     sums = np.zeros((rows, 2))
     for band in prange((rows + _BAND - 1) // _BAND):
         gx, gy = np.empty(columns, np.float32), np.empty(columns, np.float32)
         for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
-            _gradient_row(image[y], image[y + 1], image[y + 2], gx, gy)
+            _gradient_row(image[y], image[y + 1], image[y + 2], side, centre, gx, gy)
             sums[y] = _agreement_row(gx, gy, target[0, y], target[1, y], target[3, y], epsilon2)
     return sums
 
@@ -165,7 +168,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(fastmath=_FAST, cache=True, parallel=True)
-def _products(stack, target, epsilon2):  # type: ignore[no-untyped-def]
+def _products(stack, target, epsilon2, side, centre):  # type: ignore[no-untyped-def]
     """`[rows, 2 + 2·K + K²]`: over each row, Σ (n · m)², Σ ‖n‖², Σ (n · m)(ṅ · m), Σ n · ṅ and Σ JᵀJ. `stack`: render, tangents."""
     rows, columns = target.shape[1], target.shape[2]
     ways = stack.shape[0] - 1
@@ -177,10 +180,10 @@ def _products(stack, target, epsilon2):  # type: ignore[no-untyped-def]
         gx, gy, hx, hy = row[0], row[1], row[2], row[3]
         for y in range(band * _BAND, min(rows, (band + 1) * _BAND)):
             mx, my, v, valid = target[0, y], target[1, y], target[2, y], target[3, y]
-            _gradient_row(stack[0, y], stack[0, y + 1], stack[0, y + 2], gx, gy)
+            _gradient_row(stack[0, y], stack[0, y + 1], stack[0, y + 2], side, centre, gx, gy)
             sums[y, 0], sums[y, 1] = _agreement_row(gx, gy, mx, my, valid, epsilon2)
             for k in range(ways):
-                _gradient_row(stack[k + 1, y], stack[k + 1, y + 1], stack[k + 1, y + 2], hx, hy)
+                _gradient_row(stack[k + 1, y], stack[k + 1, y + 1], stack[k + 1, y + 2], side, centre, hx, hy)
                 cross, rest = residual[2 * k], residual[2 * k + 1]
                 sums[y, 2 + k], sums[y, 2 + ways + k] = _tangent_row(gx, gy, hx, hy, mx, my, v, valid, epsilon2, cross, rest)
                 for j in range(k + 1):

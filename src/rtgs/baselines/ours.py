@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from rtgs.config import ScaleConfig
 from rtgs.models import RgbModel
-from rtgs.scale import ScaleEstimate, estimate_scale
+from rtgs.scale import Comparison, ScaleEstimate, estimate_scale
 from rtgs.scene import Scene
 
 
@@ -17,9 +17,10 @@ class Own:
     key: str
     title: str
     config: ScaleConfig
+    comparison: Comparison = field(default_factory=Comparison)
 
     def __call__(self, scene: Scene, model: RgbModel) -> ScaleEstimate:
-        return estimate_scale(scene, model, self.config)
+        return estimate_scale(scene, model, self.config, comparison=self.comparison)
 
 
 OURS = Own("ours", "ours", ScaleConfig(solver="global"))

@@ -5,5 +5,6 @@ from rtgs.scale.adam import adam
 from rtgs.scale.estimate import estimate_scale
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import History, Minimum, ScaleEstimate, Scan
+from rtgs.scale.search import Comparison
 
-__all__ = ["History", "Minimum", "Objective", "ScaleConfig", "ScaleEstimate", "Scan", "adam", "estimate_scale"]
+__all__ = ["Comparison", "History", "Minimum", "Objective", "ScaleConfig", "ScaleEstimate", "Scan", "adam", "estimate_scale"]

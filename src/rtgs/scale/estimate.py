@@ -19,7 +19,18 @@ from rtgs.scale.interval import MODEL_PIXELS, LocalCurves, interval, widened, wi
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
 from rtgs.scale.refine import refine
-from rtgs.scale.search import EPSILON_FRAMES, UNLIKELY, Pictures, Refined, Search, curves_of, local_minima, significance
+from rtgs.scale.search import (
+    COMPARISON,
+    EPSILON_FRAMES,
+    UNLIKELY,
+    Comparison,
+    Pictures,
+    Refined,
+    Search,
+    curves_of,
+    local_minima,
+    significance,
+)
 from rtgs.scale.unknowns import check_refinable
 from rtgs.scene import Frame, Scene
 
@@ -29,7 +40,12 @@ _LIKELY = 0.025  # share of resamples from which on another minimum is not ruled
 
 
 def estimate_scale(
-    scene: Scene, model: RgbModel, config: ScaleConfig | None = None, *, progress: Progress | None = None
+    scene: Scene,
+    model: RgbModel,
+    config: ScaleConfig | None = None,
+    *,
+    comparison: Comparison = COMPARISON,
+    progress: Progress | None = None,
 ) -> ScaleEstimate:
     """Find `sfm_per_metre` from the edges that RGB and thermal images share, the RGB model frozen (Eqs. 1–8).
 
@@ -38,6 +54,7 @@ def estimate_scale(
     Args:
         scene: registered pairs; only training frames are used.
         model: the RGB model, trained or imported.
+        comparison: for ablations of the global search.
         progress: called with (renders done, renders in all as far as is known, text).
 
     Raises:
@@ -58,8 +75,10 @@ def estimate_scale(
     chosen = np.unique(np.linspace(0, len(train) - 1, min(config.max_frames, len(train))).round().astype(int))
     frames = [train[i] for i in chosen]
     check_refinable(scene, frames, config.refine)
-    solve = _by_adam if config.solver == "adam" else _globally
-    estimate = solve(scene, model, config, frames, limits, counter)
+    if config.solver == "adam":
+        estimate = _by_adam(scene, model, config, frames, limits, counter)
+    else:
+        estimate = _globally(scene, model, config, comparison, frames, limits, counter)
     return refine(scene, model, config, frames, estimate, counter, widest=_WIDEST) if config.refine else estimate
 
 
@@ -99,12 +118,18 @@ def _by_adam(
 
 
 def _globally(
-    scene: Scene, model: RgbModel, config: ScaleConfig, frames: list[Frame], limits: tuple[float, float], counter: Counter
+    scene: Scene,
+    model: RgbModel,
+    config: ScaleConfig,
+    comparison: Comparison,
+    frames: list[Frame],
+    limits: tuple[float, float],
+    counter: Counter,
 ) -> ScaleEstimate:
     """Scan, refine what it found, and draw the curves around the best; frames join until the interval is narrow enough."""
     start = math.log(limits[0] if config.init is None else config.init)
     counter.plan(EPSILON_FRAMES)
-    pictures = Pictures.of(scene, model, frames, config.level_weights, config.epsilon, counter)
+    pictures = Pictures.of(scene, model, frames, config.level_weights, config.epsilon, counter, comparison)
     worth = information(scene, model.gaussians, model.settings, frames)
     ranked = sorted(range(len(frames)), key=lambda i: -worth[i])
     search = Search(pictures, ranked, 0.5 / limits[0], counter)

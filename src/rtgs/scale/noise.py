@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
-from rtgs.image import GRAY_WEIGHTS, downsample, downsample_mask, erode_for_sobel, sobel, to_gray
+from rtgs.image import GRAY_WEIGHTS, SOBEL, downsample, downsample_mask, erode_for_sobel, sobel, to_gray
 from rtgs.models import RgbModel
 from rtgs.render import render
 from rtgs.scene import Frame, Scene
@@ -24,7 +24,9 @@ _SMOOTH_PX = 3.0
 _LEAST = 1e-6  # of a picture without any gradient: the paper's ε
 
 
-def mean_gradients(images: Sequence[Tensor], mask: NDArray[np.bool_], levels: int) -> tuple[float, ...]:
+def mean_gradients(
+    images: Sequence[Tensor], mask: NDArray[np.bool_], levels: int, across: tuple[float, float] = SOBEL
+) -> tuple[float, ...]:
     """Mean ‖∇I‖ at each pyramid level, over the valid pixels of all images `[H, W]`.
 
     As ε of the thermal images it weighs a gradient by how far it stands out of its picture, where the paper's 1e-6 gives a sensor's
@@ -34,7 +36,7 @@ def mean_gradients(images: Sequence[Tensor], mask: NDArray[np.bool_], levels: in
     found = []
     for level in range(levels):
         inner = erode_for_sobel(downsample_mask(valid, 2**level))
-        values = torch.cat([torch.hypot(*sobel(downsample(image, 2**level)))[inner] for image in images])
+        values = torch.cat([torch.hypot(*sobel(downsample(image, 2**level), across))[inner] for image in images])
         found.append(max(float(values.double().mean()), _LEAST) if len(values) else _LEAST)
     return tuple(found)
 

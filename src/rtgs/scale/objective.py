@@ -14,7 +14,7 @@ from torch import Tensor
 from rtgs.camera import Camera
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
-from rtgs.image import GRAY_WEIGHTS, downsample, downsample_mask, to_gray
+from rtgs.image import GRAY_WEIGHTS, SOBEL, downsample, downsample_mask, to_gray
 from rtgs.losses import NgfPyramid
 from rtgs.ngf import FusedNgf, Products
 from rtgs.render import Direction, RenderSettings, render, render_with_tangents
@@ -39,9 +39,10 @@ class Objective:
         frames: which frames; training frames only.
         level_weights: of Eq. 7, beginning with the level of the pictures compared.
         epsilon: of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the thermal image's.
-        per_edge: each level over the strength of the render's edges (`NgfPyramid.of`).
+        per_edge, across: as in `NgfPyramid.of`.
         reduction: compare pictures reduced by this factor: rendered small, not rendered and shrunk.
         thermal: frame name → image `[h, w]` in [0, 1]; None: the frames' own over their common range.
+        masks: frame name → pixels `[h, w]` where the loss counts; None: the capture's thermal mask for all.
     """
 
     def __init__(
@@ -56,8 +57,10 @@ class Objective:
         epsilon: float | tuple[float, ...],
         render_epsilon: float | tuple[float, ...] | None = None,
         per_edge: bool = False,
+        across: tuple[float, float] = SOBEL,
         reduction: int = 1,
         thermal: Mapping[str, NDArray[np.float32]] | None = None,
+        masks: Mapping[str, NDArray[np.bool_]] | None = None,
     ) -> None:
         self.frames = tuple(frames)
         self.renders = 0
@@ -71,7 +74,7 @@ class Objective:
         self._rgb_from_thermal = scene.rig.rgb_from_thermal.to_torch(torch.float64)
         self._world_from_rgb = [scene.world_from_rgb_at_thermal(f.name).to_torch(torch.float64) for f in frames]
         valid = scene.capture.thermal_mask
-        mask = torch.from_numpy(np.ascontiguousarray(valid))
+        whole = downsample_mask(torch.from_numpy(np.ascontiguousarray(valid)), reduction)
         if thermal is None:
             lo, hi = thermal_range([f.thermal[valid] for f in frames], 0.0)
             images = [np.where(valid, (f.thermal - lo) / (hi - lo), 0.0) for f in frames]
@@ -79,8 +82,15 @@ class Objective:
             images = [thermal[f.name] for f in frames]
         # A target in float64 keeps 1 − ‖n‖² exact for the fused kernels; the torch path computes in the model's own type.
         self._is_fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
-        self._level_weights, self._epsilons, self._per_edge = level_weights, (epsilon, render_epsilon), per_edge
-        self._images, self._mask = images, downsample_mask(mask, reduction)
+        self._level_weights, self._epsilons, self._per_edge, self._across = (
+            level_weights,
+            (epsilon, render_epsilon),
+            per_edge,
+            across,
+        )
+        self._images, self._masks = images, [whole] * len(frames)
+        if masks is not None:
+            self._masks = [downsample_mask(torch.from_numpy(masks[f.name] & valid), reduction) for f in frames]
         self._pyramids: dict[int, NgfPyramid] = {}
         self._fused: dict[int, FusedNgf] = {}
 
@@ -90,11 +100,12 @@ class Objective:
             target = torch.from_numpy(self._images[index]).to(torch.float64 if self._is_fused else self._dtype)
             self._pyramids[index] = NgfPyramid.of(
                 downsample(target, self._reduction),
-                self._mask,
+                self._masks[index],
                 level_weights=self._level_weights,
                 epsilon=self._epsilons[0],
                 render_epsilon=self._epsilons[1],
                 per_edge=self._per_edge,
+                across=self._across,
             )
         return self._pyramids[index]
 

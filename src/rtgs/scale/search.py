@@ -10,7 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from rtgs.image import SOBEL
 from rtgs.models import RgbModel
+from rtgs.render import render
 from rtgs.scale.descend import Place, descend
 from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
 from rtgs.scale.objective import Objective, thermal_range
@@ -25,7 +27,27 @@ _RATIO = 0.25  # of neighbouring scales in the scan, where the flow is small
 _MOST_MINIMA = 3
 _AROUND = (-4.0, -2.0, 0.0, 2.0, 4.0)  # coarse pixels of flow from the answer
 UNLIKELY = 3.0  # standard errors
-_EDGE = 3.0  # mean gradients from which on one is an edge
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How the search compares pictures. The defaults are the method; anything else is for an ablation.
+
+    Attributes:
+        edge: ε, in mean gradients: from which on one is an edge.
+        per_edge, across: as in `NgfPyramid.of`.
+        without_pattern: the sensor's pattern is taken out of the thermal images.
+        covered: count only pixels that the model covers, as the thermal camera would see it from where the RGB camera is.
+    """
+
+    edge: float = 3.0
+    per_edge: bool = True
+    across: tuple[float, float] = SOBEL
+    without_pattern: bool = True
+    covered: bool = False
+
+
+COMPARISON = Comparison()
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +57,7 @@ class Pictures:
     Attributes:
         frames: training frames. thermal: frame name → `[h, w]`.
         epsilon, render_epsilon: one a level; fixed numbers make every level alike.
+        masks: frame name → pixels that count; None: all valid ones.
     """
 
     scene: Scene
@@ -44,6 +67,8 @@ class Pictures:
     level_weights: tuple[float, ...]
     epsilon: tuple[float, ...]
     render_epsilon: tuple[float, ...]
+    comparison: Comparison
+    masks: dict[str, NDArray[np.bool_]] | None = None
     renders: int = 0
     objectives: dict[int, Objective] = field(init=False, default_factory=dict)
 
@@ -55,31 +80,35 @@ class Pictures:
         level_weights: tuple[float, ...],
         epsilon: float | None,
         counter: Counter,
+        comparison: Comparison = COMPARISON,
     ) -> Pictures:
         """Remove the sensor's pattern, and measure ε where none is given.
 
         It is three mean gradients: of the thermal images for them, of the model's errors against RGB images for the renders.
         """
         valid = scene.capture.thermal_mask
-        pattern = sensor_pattern(np.stack([f.thermal for f in frames]), valid)
-        images = [f.thermal - pattern for f in frames]
+        images = [f.thermal for f in frames]
+        if comparison.without_pattern:
+            pattern = sensor_pattern(np.stack(images), valid)
+            images = [image - pattern for image in images]
         lo, hi = thermal_range([image[valid] for image in images], 0.0)
         scaled = [np.where(valid, (image - lo) / (hi - lo), 0.0).astype(np.float32) for image in images]
         thermal = {f.name: image for f, image in zip(frames, scaled, strict=True)}
         levels = len(level_weights) + halvings(scene)
+        masks = {f.name: _covered(scene, model, f) for f in frames} if comparison.covered else None
         if epsilon is not None:
             given = (epsilon,) * levels
-            return Pictures(scene, model, tuple(frames), thermal, level_weights, given, given)
-        own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels)
+            return Pictures(scene, model, tuple(frames), thermal, level_weights, given, given, comparison, masks)
+        own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels, comparison.across)
         drawn = frames[:: -(-len(frames) // EPSILON_FRAMES)]
         errors = []
         for frame in drawn:
             errors.append(model_error(scene, model, frame))
             counter("noise")
         everywhere = np.ones(errors[0].shape, dtype=bool)
-        other = mean_gradients(errors, everywhere, levels)
-        own, other = (tuple(_EDGE * e for e in measured) for measured in (own, other))
-        return Pictures(scene, model, tuple(frames), thermal, level_weights, own, other, len(drawn))
+        other = mean_gradients(errors, everywhere, levels, comparison.across)
+        own, other = (tuple(comparison.edge * e for e in measured) for measured in (own, other))
+        return Pictures(scene, model, tuple(frames), thermal, level_weights, own, other, comparison, masks, len(drawn))
 
     def objective(self, halved: int = 0) -> Objective:
         """Eq. 7, per edge, on pictures halved so many times: the level weights at full size, two equal levels below. Made once."""
@@ -102,10 +131,19 @@ class Pictures:
             level_weights=weights,
             epsilon=self.epsilon[levels],
             render_epsilon=self.render_epsilon[levels],
-            per_edge=True,
+            per_edge=self.comparison.per_edge,
+            across=self.comparison.across,
             reduction=2**halved,
             thermal=self.thermal,
+            masks=self.masks,
         )
+
+
+def _covered(scene: Scene, model: RgbModel, frame: Frame) -> NDArray[np.bool_]:
+    """`[h, w]`: half opaque or more. As nearly no baseline shows it: a mask that followed s would reward leaving the scene."""
+    with torch.no_grad():
+        view = render(model.gaussians, scene.rig.thermal, scene.thermal_from_world(frame.name, 1e-9), settings=model.settings)
+    return np.asarray(view.alpha.numpy() >= 0.5)
 
 
 def halvings(scene: Scene) -> int:

@@ -1,0 +1,54 @@
+"""The defaults of the scale's search beside other choices, on a capture whose truth nobody knows.
+
+    python benchmarks/scale_ablation.py RUN [--splits 2]
+
+RUN is a run folder with an RGB model. Every choice of `rtgs bench synthetic --table ablation` finds the scale from all training frames, and
+from random disjoint halves of them: the further two halves are apart, the more of the answer is chance. What all frames have wrong
+alike does not show here; that is what the synthetic table is for.
+
+Prints a Markdown table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+from scale_splits import seen_by, told
+
+from rtgs.baselines import OURS
+from rtgs.benchmarks.ablation import ABLATION
+from rtgs.io.capture import load_capture
+from rtgs.pipeline import RunFolder
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--splits", type=int, default=2, help="pairs of halves")
+    o = parser.parse_args()
+    folder = RunFolder(o.run)
+    path, config = folder.read_config()
+    scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
+    train, first = scene.train_frames, None
+    print("| changed | SfM units per metre | from the default, % | halves apart, % |\n|---|---:|---:|---:|")
+    for method in (OURS, *ABLATION):
+        whole = method(scene, model)
+        first = first or whole
+        apart = []
+        for split in range(o.splits):
+            order = np.random.default_rng(split).permutation(len(train))
+            halves = [sorted(order[: len(train) // 2]), sorted(order[len(train) // 2 :])]
+            one, other = (method(seen_by(scene, [train[i] for i in half]), model).sfm_per_metre for half in halves)
+            apart.append(f"{100 * abs(math.log(one / other)):.2f}")
+        print(
+            f"| {'nothing' if method is OURS else method.title} | {told(whole)} "
+            f"| {100 * (whole.sfm_per_metre / first.sfm_per_metre - 1):+.2f} | {', '.join(apart)} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
