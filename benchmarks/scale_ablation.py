@@ -16,12 +16,12 @@ import math
 from pathlib import Path
 
 import numpy as np
-from scale_splits import seen_by, told
 
 from rtgs.baselines import OURS
 from rtgs.benchmarks.ablation import ABLATION
 from rtgs.io.capture import load_capture
 from rtgs.pipeline import RunFolder
+from scale_splits import seen_by, told
 
 
 def main() -> None:
