@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 
 from rtgs.config import ThermalConfig
 from rtgs.fit_thermal import fit_thermal, gaussian_temperatures, training_range
@@ -316,7 +318,58 @@ def test_drift_is_found_again(gains: bool) -> None:
 def test_without_drift_none_is_modelled() -> None:
     rng = np.random.default_rng(6)
     noisy = changed(ring()[0], lambda _, t: t + 0.05 * rng.standard_normal(t.shape))
-    assert fit_thermal(noisy, ring()[1], SFM_PER_METRE, LINEAR).drift == {}
+    model = fit_thermal(noisy, ring()[1], SFM_PER_METRE, LINEAR)
+    assert model.drift == {} and model.pattern is None
+
+
+def striped(drift_c: float) -> tuple[Scene, np.ndarray]:
+    """The known scene at 50 mK of noise, seen by a sensor with readout stripes and vignetting, and offsets up to `drift_c`."""
+    rng, (h, w) = np.random.default_rng(8), (RIG.thermal.height, RIG.thermal.width)
+    y, x = np.linspace(-1, 1, h)[:, None], np.linspace(-1, 1, w)[None]
+    pattern = 0.15 * rng.standard_normal((h, 1)) + 0.15 * rng.standard_normal((1, w)) + 0.6 * (2 / 3 - x**2 - y**2)
+    offset = rng.uniform(-drift_c, drift_c, 32)
+    scene = changed(ring()[0], lambda i, t: t + pattern + offset[i] + 0.05 * rng.standard_normal(t.shape))
+    return scene, pattern
+
+
+@pytest.mark.parametrize("drift_c", [0.0, 1.0])
+def test_a_sensors_pattern_is_told_from_the_scene(drift_c: float) -> None:
+    (scene, pattern), rgb = striped(drift_c), ring()[1]
+    model = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
+    assert model.pattern is not None and model.pattern.dtype == np.float32
+    assert bool(model.drift) == (drift_c > 0)
+    # Stripes are found. Of vignetting only what a scene cannot look like: this ball is in the middle of all pictures.
+    stripes, found = (image - gaussian_filter(image, 2.0) for image in (pattern, model.pattern))
+    assert (found - stripes).std() < 0.4 * stripes.std()
+    assert 0.2 < np.polyfit(pattern.ravel(), model.pattern.ravel(), 1)[0] < 1.1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(importlib.import_module("rtgs.fit_thermal.linear"), "choose_pattern", lambda *_: None)
+        ignored = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
+    assert ignored.pattern is None
+    photographs, truths = [], []
+    for m in (model, ignored):
+        errors = []
+        for frame, clean in zip(scene.held_out_frames, ring()[0].held_out_frames, strict=True):
+            pose = scene.thermal_from_world(frame.name, SFM_PER_METRE)
+            away = (
+                m.render(RIG.thermal, pose, photographed_in=frame.name) - frame.thermal,
+                m.render(RIG.thermal, pose) - clean.thermal,
+            )
+            errors.append([np.abs(e - np.median(e)).mean() for e in away])
+        photograph, truth = np.mean(errors, axis=0)
+        photographs.append(photograph)
+        truths.append(truth)
+    assert photographs[0] < 0.75 * photographs[1] and truths[0] < 0.97 * truths[1]
+
+
+def test_a_pattern_belongs_to_its_sensor() -> None:
+    model = replace(fitted(), pattern=np.full((RIG.thermal.height, RIG.thermal.width), 0.25, np.float32))
+    pose = ring()[0].thermal_from_world("003", SFM_PER_METRE)
+    plain = fitted().render(RIG.thermal, pose)
+    np.testing.assert_allclose(model.render(RIG.thermal, pose), plain)
+    np.testing.assert_allclose(model.render(RIG.thermal, pose, photographed_in="003"), plain + 0.25, atol=1e-4)
+    with pytest.raises(ValueError, match="pattern"):
+        model.render(RIG.thermal.resized(16, 16), pose, photographed_in="003")
 
 
 def test_gauge() -> None:

@@ -182,6 +182,20 @@ def all_stand(run: Path) -> bool:
 # --- what a run writes -----------------------------------------------------------------------------
 
 
+def test_a_sensors_pattern_is_kept_beside_its_model(finished: Path, tmp_path: Path) -> None:
+    model = RunFolder(finished).read_thermal()
+    assert model.pattern is None and not (finished / "thermal_pattern.tiff").exists()
+    folder = RunFolder(tmp_path)
+    pattern = np.random.default_rng(0).normal(size=(24, 24)).astype(np.float32)
+    folder.write_thermal(replace(model, pattern=pattern), celsius=True)
+    found = folder.read_thermal().pattern
+    assert found is not None and found.dtype == np.float32
+    np.testing.assert_array_equal(found, pattern)
+    assert not list(tmp_path.glob(".*"))
+    folder.begin("thermal", "other")
+    assert not (tmp_path / "thermal_pattern.tiff").exists()
+
+
 def test_a_run_writes_what_the_conventions_name(capture: Path, finished: Path) -> None:
     for name in ("config.json", "rgb.ply", "thermal.ply", "scale.json", "metrics.json", "report.html"):
         assert (finished / name).is_file(), name

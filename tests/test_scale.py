@@ -29,11 +29,12 @@ from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log, freedoms
 from rtgs.scale.descend import descend
 from rtgs.scale.interval import LocalCurves, bootstrap, curve_minima, curve_minimum, hermite, interval, widened
-from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
+from rtgs.scale.noise import mean_gradients, model_error
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
 from rtgs.scale.search import Pictures, scan_thetas
 from rtgs.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.sensor import sensor_pattern
 from rtgs.sh import C0
 
 RIG = Rig(

@@ -16,7 +16,7 @@ TIERS: dict[str, float] = {
     **dict.fromkeys(["geometry", "image", "sh", "optim"], 1),
     **dict.fromkeys(["camera", "gaussians", "radiometry"], 2),
     **dict.fromkeys(["scene"], 3),
-    **dict.fromkeys(["io", "render", "losses", "ssim", "metrics", "densify", "synthetic", "pictures"], 4),
+    **dict.fromkeys(["io", "render", "losses", "ssim", "metrics", "densify", "synthetic", "pictures", "sensor"], 4),
     **dict.fromkeys(["models", "photometric", "ngf", "lpips"], 4.5),
     **dict.fromkeys(["sfm", "fit_rgb", "scale", "fit_thermal"], 5),
     **dict.fromkeys(["baselines", "evaluate"], 6),

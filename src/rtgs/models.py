@@ -86,6 +86,7 @@ class ThermalModel:
             of `render` and of every viewer never acts. Where there are Planck constants colours are linear in radiance and not in °C.
         drift: by training frame its gain and offset: photograph = gain · image + offset, in °C (or counts), or in a black body's signal
             where colours are linear in that; empty where none were fitted.
+        pattern: `[h, w]`, what the sensor adds to every photograph, in the units of `drift`; None where none was found.
         temperatures: of each Gaussian, or None where nobody asked.
     """
 
@@ -97,6 +98,7 @@ class ThermalModel:
     history: Mapping[str, Sequence[float]] = field(default_factory=dict)
     color_range: ThermalRange | None = None
     drift: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    pattern: NDArray[np.float32] | None = None
     temperatures: GaussianTemperatures | None = None
 
     @property
@@ -114,12 +116,25 @@ class ThermalModel:
         return 1.0 + float(gain), float(offset)
 
     def render(self, camera: Camera, camera_from_world: SE3, *, photographed_in: str | None = None) -> NDArray[np.float32]:
-        """`[h, w]` temperatures in °C (or counts): the scene's, or as the camera would show them in a frame, with its drift."""
+        """`[h, w]` temperatures in °C (or counts): the scene's, or as the camera would show them in a frame, with drift and pattern.
+
+        Raises:
+            ValueError: the pattern is of another size than the camera that is to show it.
+        """
         with torch.no_grad():
             view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)
         colors = view[..., 0].numpy()
-        if photographed_in is not None and self.drift:
-            gain, offset = self.drift_of(photographed_in)
-            span = self.colors.linear
-            colors = span.normalise(gain * span.expand(colors).astype(np.float64) + offset)
-        return self.colors.expand(colors)
+        return self.colors.expand(colors if photographed_in is None else self.shown(colors, photographed_in))
+
+    def shown(self, colors: NDArray[np.float32], frame: str) -> NDArray[np.float32]:
+        """What the camera makes of colours `[h, w]` in a frame, in the same units."""
+        gain, offset = self.drift_of(frame)
+        if (gain, offset) == (1.0, 0.0) and self.pattern is None:
+            return colors
+        span = self.colors.linear
+        signal = gain * span.expand(colors).astype(np.float64) + offset
+        if self.pattern is not None:
+            if self.pattern.shape != signal.shape:
+                raise ValueError(f"a pattern of {self.pattern.shape} pixels cannot be added to an image of {signal.shape}")
+            signal += self.pattern
+        return np.asarray(span.normalise(signal), np.float32)

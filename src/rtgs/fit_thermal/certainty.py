@@ -59,7 +59,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
         if progress is not None:
             progress(done, total, "standard errors")
 
-    signs, linear = torch.Generator().manual_seed(0), model.colors.linear
+    signs = torch.Generator().manual_seed(0)
     coverage, views, squares = torch.zeros(n + 1), torch.zeros(n), 0.0
     seen, bounds, blocks = torch.zeros(n, k, 1), torch.zeros(n, k, k), torch.zeros(n, k, k)
     for f, frame in enumerate(frames):
@@ -71,9 +71,8 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
         design.add_harmonics(f, colors[:, :1].contiguous(), seen)
         design.add_blocks(f, colors[:, 0].contiguous(), bounds)
         design.add_blocks(f, (colors[:, 1:] ** 2).mean(dim=1), blocks)  # E (Σ ± w)² = Σ w²
-        gain, offset = model.drift.get(frame.name, (1.0, 0.0))
-        image = linear.expand(model.colors.normalise(model.render(scene.rig.thermal, data.poses[f])))
-        shown = torch.from_numpy(linear.normalise(gain * image + offset))
+        image = model.render(scene.rig.thermal, data.poses[f], photographed_in=frame.name)
+        shown = torch.from_numpy(model.colors.normalise(image))
         squares += float((data.valid * (data.images[f] - shown) ** 2).sum())
         each()
     mean_basis = seen[..., 0] / coverage[:-1, None].clamp_min(1e-6)

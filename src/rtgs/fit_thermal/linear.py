@@ -11,6 +11,7 @@ from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,6 +25,7 @@ from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
+from rtgs.sensor import sensor_pattern
 
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
 # held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
@@ -164,6 +166,14 @@ class Fit:
         drift = estimate(kind, self.median, images, self.data.images, weights)
         return drift, [y - drift.of(f, images[f]) for f, y in enumerate(self.data.images)]
 
+    def pattern(self, left: Sequence[Tensor]) -> Tensor:
+        """`[h, w]`: the sensor's, of what is left of photographs."""
+        return torch.from_numpy(sensor_pattern(torch.stack(list(left)).numpy(), self.data.valid.numpy() > 0))
+
+    def without(self, pattern: Tensor) -> Fit:
+        """The same with the sensor's pattern taken out of the photographs."""
+        return replace(self, data=replace(self.data, images=tuple(y - pattern for y in self.data.images)))
+
     def gauged(self, kind: Kind, images: Sequence[Tensor]) -> tuple[Kind, Drift]:
         """For `problem`."""
         return kind, in_gauge(self.drift(kind, images, self.everywhere)[0])[0]
@@ -186,9 +196,18 @@ def fit_linear(
         kind, tried = choose_drift(fit, validation, tried)
     elif kind != "off":
         tried = choose_ridge(fit, validation, tried.x, fit.gauged(kind, fit.images(tried.x)))
-    x, drift, history = reweighted(fit, tried.factor, kind, tried.x, passes)
+    images = fit.images(tried.x)
+    pattern = choose_pattern(fit, validation, kind, images)
+    clean = fit if pattern is None else fit.without(pattern)
+    x, images, drift, history = reweighted(clean, tried.factor, kind, tried.x, images, passes)
+    if pattern is not None:
+        pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
+    drift, gain, offset = in_gauge(drift)
+    x = moved(design, x, gain, median * (1.0 - gain) + offset)
     passes.finish()
     model = as_model(x, design, rgb_model, training_range(scene), span, sfm_per_metre, history)
+    if pattern is not None:
+        model = replace(model, pattern=pattern.numpy() * np.float32(span.linear.width))
     return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
 
 
@@ -317,14 +336,36 @@ def choose_drift(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kin
     return kind, tried
 
 
+def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequence[Tensor]) -> Tensor | None:
+    """What the sensor adds to every photograph, as far as photographs that it was not taken from have it too.
+
+    Of what a model of the scene leaves, in which the scene itself is small: a wall that stays at the top of all pictures is no vignetting.
+
+    Args:
+        images: of all frames, by unknowns that the validation frames had no part in.
+    """
+    if len(validation) < DRIFT_FRAMES:
+        return None
+    left = fit.drift(kind, images, fit.everywhere)[1]
+    pattern = fit.pattern([r for f, r in enumerate(left) if f not in validation])
+    was = torch.stack([(fit.data.valid * left[f].abs()).sum() for f in validation])
+    gain = was - torch.stack([(fit.data.valid * (left[f] - pattern).abs()).sum() for f in validation])
+    certain = float(gain.std()) / len(validation) ** 0.5
+    return pattern if float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), certain) else None
+
+
 def reweighted(
-    fit: Fit, factor: float, kind: Kind, start: Tensor, passes: Passes
-) -> tuple[Tensor, Drift, dict[str, list[float]]]:
-    """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]`."""
+    fit: Fit, factor: float, kind: Kind, start: Tensor, images: list[Tensor], passes: Passes
+) -> tuple[Tensor, list[Tensor], Drift, dict[str, list[float]]]:
+    """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]` and its images.
+
+    Returns:
+        Unknowns, their images and drift, before the gauge is fixed; the history.
+    """
     x, valid = start, fit.data.valid
     weights = fit.everywhere
     history: dict[str, list[float]] = {"step": [], "loss": []}
-    steps, images = 0, fit.images(x)
+    steps = 0
     for done in range(ROUNDS + 1):
         drift, left = fit.drift(kind, images, weights)
         rms = math.sqrt(_squares(left, valid) / (len(left) * float(valid.sum())))
@@ -339,8 +380,7 @@ def reweighted(
         x, steps = solution.x, steps + solution.iterations
         images = [i[..., 0] for i in solution.shown or ()]
         passes.text = f"residual {rms:.4f}"
-    drift, gain, offset = in_gauge(drift)
-    return moved(fit.design, x, gain, fit.median * (1.0 - gain) + offset), drift, history
+    return x, images, drift, history
 
 
 def moved(design: Design, x: Tensor, gain: float, offset: float) -> Tensor:

@@ -9,7 +9,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
+from PIL import Image
 
 from rtgs import __version__
 from rtgs.config import RunConfig, is_run, read_config, read_run_json, to_json
@@ -34,6 +36,7 @@ _MADE_BY: dict[Stage, tuple[str, ...]] = {
     "thermal": ("thermal.ply", "thermal.json", "thermal_naive.ply", "thermal_naive.json"),
     "evaluate": ("metrics.json",),
 }
+_MAY_MAKE: dict[Stage, tuple[str, ...]] = {"thermal": ("thermal_pattern.tiff", "thermal_naive_pattern.tiff")}
 _KEPT = ("scene", "rgb.ply")  # until they are replaced: dear, and never read while the stage that made them does not stand
 
 
@@ -103,7 +106,7 @@ class RunFolder:
         earlier = {k: v for k, v in entries.items() if k in STAGES[: STAGES.index(stage)]}
         self.write_json("stages.json", {**earlier, stage: {"begun": fingerprint}})
         for later in STAGES[STAGES.index(stage) :]:
-            for name in _MADE_BY[later]:
+            for name in _MADE_BY[later] + _MAY_MAKE.get(later, ()):
                 if name not in _KEPT:
                     (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.renders, ignore_errors=True)
@@ -161,6 +164,10 @@ class RunFolder:
 
     def write_thermal(self, model: ThermalModel, name: str = "thermal", *, celsius: bool) -> None:
         write_thermal_ply(self.path / f"{name}.ply", model, celsius=celsius)
+        if model.pattern is not None:
+            temporary = self.path / f".{name}_pattern.tiff.tmp"
+            Image.fromarray(model.pattern).save(temporary, format="TIFF")
+            temporary.replace(self.path / f"{name}_pattern.tiff")
         self._write_model(
             f"{name}.json",
             model,
@@ -168,6 +175,7 @@ class RunFolder:
             color_range=asdict(model.colors),
             sfm_per_metre=model.sfm_per_metre,
             drift=dict(model.drift),
+            pattern=None if model.pattern is None else f"{name}_pattern.tiff",
         )
 
     def read_thermal(self, name: str = "thermal") -> ThermalModel:
@@ -189,6 +197,7 @@ class RunFolder:
             data["history"],
             _color_range(data["color_range"]),
             {frame: (gain, offset) for frame, (gain, offset) in data["drift"].items()},
+            np.asarray(Image.open(self.path / data["pattern"])) if data.get("pattern") else None,
             GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         )
 

@@ -14,10 +14,11 @@ from rtgs.image import SOBEL
 from rtgs.models import RgbModel
 from rtgs.render import render
 from rtgs.scale.descend import Place, descend
-from rtgs.scale.noise import mean_gradients, model_error, sensor_pattern
+from rtgs.scale.noise import mean_gradients, model_error
 from rtgs.scale.objective import Objective, thermal_range
 from rtgs.scale.records import Counter, History
 from rtgs.scene import Frame, Scene
+from rtgs.sensor import sensor_pattern
 
 _COARSE_SIDE = 64  # pixels of the shorter side in the scan: the picture is halved while it keeps this many
 _SCAN_FRAMES = 10
