@@ -11,7 +11,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
 from rtgs.config import ThermalConfig
 from rtgs.fit_thermal import fit_thermal, gaussian_temperatures, training_range
@@ -126,6 +125,43 @@ def test_problems_with_and_without_offsets_go_side_by_side() -> None:
     assert pair.shown is not None
     for f in frames:
         torch.testing.assert_close(pair.shown[f], fit.design.image(f, pair.x), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+def test_a_common_surface_is_eliminated_exactly(offsets: bool) -> None:
+    """The gradient is that of photographs from which the best surface, and the best offsets beside it, have been taken by hand."""
+    scene, rgb, _ = ring()
+    fit, frames = least_squares(scene, rgb), range(8)
+    g = torch.Generator().manual_seed(5)
+    weights = [fit.data.valid * (0.2 + torch.rand(fit.data.valid.shape, generator=g)) for _ in range(len(fit.data))]
+    weights = [w * (torch.rand(w.shape, generator=g) > 0.2) for w in weights]
+    drift = ("offset", Drift(0.3, torch.ones(len(fit.data)), torch.zeros(len(fit.data)))) if offsets else None
+    surface = fit.surface()
+    problem = fit.problem((0.3,), frames, weights=weights, drift=drift, surface=surface)  # type: ignore[arg-type]
+    x = problem.prior + 0.1 * torch.randn(problem.prior.shape, generator=g)
+    left = [fit.data.images[f] - fit.design.image(f, x)[..., 0] for f in frames]
+    columns = np.concatenate(
+        [np.kron(np.ones((8, 1)), surface.reshape(-1, 5)), np.kron(np.eye(8), np.ones((surface[..., 0].numel(), 1)))], 1
+    )
+    columns = columns if offsets else columns[:, :5]
+    root = torch.stack([weights[f] for f in frames]).sqrt().reshape(-1).double().numpy()
+    target = torch.stack(left).reshape(-1).double().numpy()
+    best, *_ = np.linalg.lstsq(root[:, None] * columns, root * target, rcond=None)
+    rest = torch.from_numpy((target - columns @ best).astype(np.float32)).reshape(8, *surface.shape[:2])
+    expected = -problem.ridge * (x - problem.prior)
+    for f in frames:
+        fit.design.add_transpose(f, (weights[f] * rest[f])[..., None], expected)
+    found, value = problem.gradient(x)
+    torch.testing.assert_close(found, expected, atol=2e-4 * float(expected.abs().max()), rtol=0)
+    squares = float((torch.stack([weights[f] for f in frames]) * rest**2).sum()) + float(
+        (problem.ridge * (x - problem.prior) ** 2).sum()
+    )
+    assert float(value) == pytest.approx(squares, rel=1e-4)
+    # And what conjugate gradients multiply with is minus the gradient's change.
+    p = torch.randn(x.shape, generator=g)
+    torch.testing.assert_close(
+        problem.normal(p), found - problem.gradient(x + p)[0], atol=2e-3 * float(problem.normal(p).abs().max()), rtol=0
+    )
 
 
 def test_a_solved_problem_stays() -> None:
@@ -338,10 +374,7 @@ def test_a_sensors_pattern_is_told_from_the_scene(drift_c: float) -> None:
     model = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
     assert model.pattern is not None and model.pattern.dtype == np.float32
     assert bool(model.drift) == (drift_c > 0)
-    # Stripes are found. Of vignetting only what a scene cannot look like: this ball is in the middle of all pictures.
-    stripes, found = (image - gaussian_filter(image, 2.0) for image in (pattern, model.pattern))
-    assert (found - stripes).std() < 0.4 * stripes.std()
-    assert 0.2 < np.polyfit(pattern.ravel(), model.pattern.ravel(), 1)[0] < 1.1
+    assert (model.pattern - pattern).std() < 0.3 * pattern.std()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(importlib.import_module("rtgs.fit_thermal.linear"), "choose_pattern", lambda *_: None)
         ignored = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
@@ -359,7 +392,7 @@ def test_a_sensors_pattern_is_told_from_the_scene(drift_c: float) -> None:
         photograph, truth = np.mean(errors, axis=0)
         photographs.append(photograph)
         truths.append(truth)
-    assert photographs[0] < 0.75 * photographs[1] and truths[0] < 0.97 * truths[1]
+    assert photographs[0] < 0.6 * photographs[1] and truths[0] < 0.6 * truths[1]
 
 
 def test_a_pattern_belongs_to_its_sensor() -> None:

@@ -35,11 +35,16 @@ def sensor_pattern(images: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDAr
     return np.where(mask, pattern, 0.0).astype(np.float32)
 
 
-def _quadratic(image: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    y, x = (np.linspace(-1.0, 1.0, n) for n in image.shape)
-    terms = np.stack(
+def quadratic_terms(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """`[6, h, w]`: 1, x, y, x², y² and x·y, with x and y from −1 to 1."""
+    y, x = (np.linspace(-1.0, 1.0, n) for n in shape)
+    return np.stack(
         np.broadcast_arrays(1.0 + 0 * y[:, None], x[None], y[:, None], x[None] ** 2, y[:, None] ** 2, y[:, None] * x[None])
     )
+
+
+def _quadratic(image: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    terms = quadratic_terms(image.shape)
     weights, *_ = np.linalg.lstsq(terms[:, mask].T, image[mask], rcond=None)
     return np.asarray(np.tensordot(weights, terms, axes=1))
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -15,12 +16,14 @@ from rtgs.fit_thermal.design import Design
 class Problem:
     """Least x of Σ_f ‖image_f − design_f · x − offset_f‖² + Σ ridge · (x − prior)², each pixel weighed, C times side by side.
 
-    Offsets, where a problem has any, are eliminated exactly: the weighted mean is taken out of every residual.
+    Offsets, where a problem has any, are eliminated exactly: the weighted mean is taken out of every residual. So is a surface that all
+    frames have in common.
 
     Attributes:
         frames: indices of those that count.
         images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
         offsets: `[C]`, 1 for a problem in which each frame has an offset of its own, 0 where they are 0; None: 0 everywhere.
+        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none. Only where C is 1.
         ridge, prior: `[D, C]`.
         inverses, background: the preconditioner (see `preconditioner`).
     """
@@ -34,6 +37,7 @@ class Problem:
     prior: Tensor
     inverses: Tensor
     background: float
+    surface: Tensor | None = None
 
     def gradient(
         self, x: Tensor, each: Callable[[], None] = lambda: None, shown: Sequence[Tensor] | None = None
@@ -45,9 +49,8 @@ class Problem:
         """
         away = x - self.prior
         out, value = -self.ridge * away, (self.ridge * away**2).sum(0, dtype=torch.float64)
-        for f in self.frames:
-            residual = self.images[f] - (self.design.image(f, x) if shown is None else shown[f])
-            weighted = self._weighted(f, residual)
+        residuals = (self.images[f] - (self.design.image(f, x) if shown is None else shown[f]) for f in self.frames)
+        for f, (residual, weighted) in zip(self.frames, self._weighed(residuals), strict=True):
             value += (residual * weighted).sum((0, 1), dtype=torch.float64)
             self.design.add_transpose(f, weighted, out)
             each()
@@ -56,9 +59,9 @@ class Problem:
     def normal(self, p: Tensor, each: Callable[[], None] = lambda: None, images: list[Tensor] | None = None) -> Tensor:
         """(designᵀ · weights · design + ridge) · p; design · p, frame by frame, is appended to `images`."""
         out = self.ridge * p
-        for f in self.frames:
-            image = self.design.image(f, p)
-            self.design.add_transpose(f, self._weighted(f, image), out)
+        drawn = (self.design.image(f, p) for f in self.frames)
+        for f, (image, weighted) in zip(self.frames, self._weighed(drawn), strict=True):
+            self.design.add_transpose(f, weighted, out)
             if images is not None:
                 images.append(image)
             each()
@@ -68,6 +71,26 @@ class Problem:
         z = r / self.background
         self.design.harmonics(z).copy_(torch.bmm(self.inverses, self.design.harmonics(r)))
         return z
+
+    def _weighed(self, images: Iterable[Tensor]) -> Iterator[tuple[Tensor, Tensor]]:
+        """Each frame's image, and weights · (image less what offsets and surface would make of it)."""
+        if self.surface is None:
+            for f, image in zip(self.frames, images, strict=True):
+                yield image, self._weighted(f, image)
+            return
+        kept = [(image, self._weighted(f, image)) for f, image in zip(self.frames, images, strict=True)]
+        right = sum((torch.einsum("hwb,hwc->bc", self.surface, w) for _, w in kept), torch.zeros(self.surface.shape[2], 1))
+        common = self.surface @ (self._surfaces @ right)
+        for f, (image, weighted) in zip(self.frames, kept, strict=True):
+            yield image, weighted - self._weighted(f, common)
+
+    @cached_property
+    def _surfaces(self) -> Tensor:
+        """`[B, B]`: inverse of the normal matrix of the surface alone."""
+        assert self.surface is not None
+        surface = self.surface
+        products = [torch.einsum("hwb,hwc->bc", surface, self._weighted(f, surface)) for f in self.frames]
+        return torch.linalg.pinv(torch.stack(products).sum(0), hermitian=True)
 
     def _weighted(self, frame: int, image: Tensor) -> Tensor:
         """Weights · (image less its weighted mean, where there are offsets)."""

@@ -25,7 +25,7 @@ from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
-from rtgs.sensor import sensor_pattern
+from rtgs.sensor import quadratic_terms, sensor_pattern
 
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
 # held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
@@ -129,9 +129,10 @@ class Fit:
         weights: Sequence[Tensor] | None = None,
         drift: tuple[Kind, Drift] | None = None,
         offsets: Tensor | None = None,
+        surface: Tensor | None = None,
     ) -> Problem:
         """Ridges side by side; `weights` None: the valid pixels. Gains count as known, offsets as unknown; `offsets`: in which problems
-        there are any, without drift."""
+        there are any, without drift. `surface`: see `Problem`."""
         weights = self.everywhere if weights is None else weights
         photographs = [y[..., None] for y in self.data.images]
         if drift is not None and drift[0] == "gain-offset":
@@ -145,7 +146,7 @@ class Fit:
         prior = self.evidence.prior[:, None].expand(-1, len(factors))
         if drift is not None and drift[0] != "off":
             offsets = torch.ones(len(factors))
-        return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background)
+        return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background, surface)
 
     def images(self, x: Tensor) -> list[Tensor]:
         """`[h, w]` a frame, of unknowns `[D, 1]`."""
@@ -169,6 +170,12 @@ class Fit:
     def pattern(self, left: Sequence[Tensor]) -> Tensor:
         """`[h, w]`: the sensor's, of what is left of photographs."""
         return torch.from_numpy(sensor_pattern(torch.stack(list(left)).numpy(), self.data.valid.numpy() > 0))
+
+    def surface(self) -> Tensor:
+        """`[h, w, 5]`: vignetting is a combination of these; each with mean 0 over the valid pixels."""
+        terms = torch.from_numpy(quadratic_terms(tuple(self.data.valid.shape))[1:]).float()
+        terms = terms - (terms * self.data.valid).sum((1, 2), keepdim=True) / self.data.valid.sum()
+        return (terms * self.data.valid).permute(1, 2, 0).contiguous()
 
     def without(self, pattern: Tensor) -> Fit:
         """The same with the sensor's pattern taken out of the photographs."""
@@ -198,8 +205,8 @@ def fit_linear(
         tried = choose_ridge(fit, validation, tried.x, fit.gauged(kind, fit.images(tried.x)))
     images = fit.images(tried.x)
     pattern = choose_pattern(fit, validation, kind, images)
-    clean = fit if pattern is None else fit.without(pattern)
-    x, images, drift, history = reweighted(clean, tried.factor, kind, tried.x, images, passes)
+    clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
+    x, images, drift, history = reweighted(clean, tried.factor, kind, tried.x, images, passes, surface)
     if pattern is not None:
         pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
     drift, gain, offset = in_gauge(drift)
@@ -355,7 +362,13 @@ def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequ
 
 
 def reweighted(
-    fit: Fit, factor: float, kind: Kind, start: Tensor, images: list[Tensor], passes: Passes
+    fit: Fit,
+    factor: float,
+    kind: Kind,
+    start: Tensor,
+    images: list[Tensor],
+    passes: Passes,
+    surface: Tensor | None = None,
 ) -> tuple[Tensor, list[Tensor], Drift, dict[str, list[float]]]:
     """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]` and its images.
 
@@ -374,7 +387,7 @@ def reweighted(
         if done == ROUNDS:
             break
         weights = [valid * (HUBER * rms / r.abs().clamp_min(1e-12)).clamp_max(1.0) for r in left]
-        problem = fit.problem((factor,), range(len(left)), weights=weights, drift=(kind, in_gauge(drift)[0]))
+        problem = fit.problem((factor,), range(len(left)), weights=weights, drift=(kind, in_gauge(drift)[0]), surface=surface)
         shown = [i[..., None] for i in images]
         solution = solve(problem, x, iterations=ITERATIONS, tolerance=TOLERANCE, shown=shown, each=passes)
         x, steps = solution.x, steps + solution.iterations
