@@ -7,8 +7,9 @@
 Adam's rate and number of steps are tuned by PSNR on every 8th training frame, which it does not see meanwhile; then it is fitted again on
 all training frames. Least squares gets no tuning from outside. Nothing is fitted to a held-out frame.
 
-Prints Markdown. PSNR and MAE are of held-out frames as they are. "MAE, differences": a held-out frame's median error is taken out, for all
-methods alike. "MAE, truth": against the noise- and drift-free temperatures of a synthetic capture. Seconds are of the processor, all
+Prints Markdown. PSNR and MAE are of held-out photographs, renders with the drift that the frames beside them let expect and with the
+sensor's pattern, where a model has them. "MAE, differences": a held-out frame's median error is taken out, for all methods alike.
+"MAE, truth": of the scene, against the noise- and drift-free temperatures of a synthetic capture. Seconds are of the processor, all
 threads together; evaluation is not in them. "To best" is the run with the best validation PSNR.
 """
 
@@ -61,12 +62,13 @@ def score(problem: Problem, scene: Scene, model: ThermalModel) -> Score:
     """Means over the held-out frames of `scene`."""
     rows, truths, mask = [], [], scene.capture.thermal_mask
     for frame in scene.held_out_frames:
-        image = model.render(scene.rig.thermal, scene.thermal_from_world(frame.name, model.sfm_per_metre))
+        pose = scene.thermal_from_world(frame.name, model.sfm_per_metre)
+        image = model.render(scene.rig.thermal, pose, photographed_in=frame.name)
         error = (image - frame.thermal)[mask]
         a, b = model.range.normalise(image), model.range.normalise(frame.thermal)
         rows.append((psnr(a, b, mask=mask), float(np.abs(error).mean()), float(np.abs(error - np.median(error)).mean())))
         if frame.name in problem.truth:
-            truths.append(mae(image, problem.truth[frame.name], mask=mask))
+            truths.append(mae(model.render(scene.rig.thermal, pose), problem.truth[frame.name], mask=mask))
     return Score(*(float(v) for v in np.mean(rows, axis=0)), truth=float(np.mean(truths)) if truths else None)
 
 

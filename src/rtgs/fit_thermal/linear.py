@@ -200,12 +200,14 @@ def fit_linear(
     tried = choose_ridge(fit, validation, fit.evidence.prior[:, None], aside=config.drift == "auto")
     kind = config.drift
     if kind == "auto":
-        kind, tried = choose_drift(fit, validation, tried)
+        kind, tried = choose_offsets(fit, validation, tried)
     elif kind != "off":
         tried = choose_ridge(fit, validation, tried.x, fit.gauged(kind, fit.images(tried.x)))
     images = fit.images(tried.x)
     pattern = choose_pattern(fit, validation, kind, images)
     clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
+    if config.drift == "auto":
+        kind, tried, images = choose_gains(clean, validation, kind, tried, images, surface)
     x, images, drift, history = reweighted(clean, tried.factor, kind, tried.x, images, passes, surface)
     if pattern is not None:
         pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
@@ -278,69 +280,96 @@ def choose_ridge(
     return Tried(RIDGE_FACTORS[chosen], *column(chosen), column(count), column(usual))
 
 
-def choose_drift(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tried]:
-    """Whether frames have an offset, or a gain as well; and the ridge and the unknowns to go on from.
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """What validation frames say of drift.
 
     A frame's own offset and gain are unknown where the frame was not fitted, so models are compared by *differences* within validation
     frames: by the mean absolute error after the best offset, or gain and offset, has been taken out for both alike. And levels, with the
     drift that neighbours let expect, must not suffer by more than a quarter: where offsets go with the camera's path, harmonics predict
     them, and who wants temperatures as the camera would show them is served better so.
     """
-    rest = [f for f in range(len(fit.data)) if f not in validation]
 
-    def errors(kind: Kind, shown: Sequence[Tensor]) -> Tensor:
-        return torch.tensor([fit.error(kind, f, image) for f, image in zip(validation, shown, strict=True)])
+    fit: Fit
+    validation: Sequence[int]
 
-    def own(kind: Kind, shown: Sequence[Tensor]) -> float:
-        """Share of the error that goes with gains and offsets of the validation frames' own."""
-        return 1.0 - float(errors(kind, shown).sum() / errors("off", shown).sum())
+    @property
+    def rest(self) -> list[int]:
+        return [f for f in range(len(self.fit.data)) if f not in self.validation]
 
-    def level(kind: Kind, images: Sequence[Tensor]) -> float:
-        drift, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(rest))
+    def of_validation(self, images: Sequence[Tensor]) -> list[Tensor]:
+        return [images[f] for f in self.validation]
+
+    def errors(self, kind: Kind, shown: Sequence[Tensor]) -> Tensor:
+        return torch.tensor([self.fit.error(kind, f, image) for f, image in zip(self.validation, shown, strict=True)])
+
+    def is_worth_a_look(self, shown: Sequence[Tensor]) -> bool:
+        """Whether enough of the error goes with gains and offsets of the validation frames' own."""
+        if len(self.validation) < DRIFT_FRAMES:
+            return False
+        return float(self.errors("gain-offset", shown).sum()) <= (1.0 - DRIFT_SHARE) * float(self.errors("off", shown).sum())
+
+    def level(self, kind: Kind, images: Sequence[Tensor]) -> float:
+        """Error of the validation frames with the drift that the other frames let expect, of images of all frames."""
+        fit = self.fit
+        drift, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(self.rest))
         away = torch.stack([drift.gain - 1.0, drift.offset], dim=1).double().numpy()
         shown = []
-        for f in validation:
-            own_gain, own_offset = between(away, away[:, 1], bisect(rest, f))
+        for f in self.validation:
+            own_gain, own_offset = between(away, away[:, 1], bisect(self.rest, f))
             scene = gain * (images[f] - fit.median) + offset
             shown.append(fit.median + float(own_offset) + (1.0 + float(own_gain)) * scene)
-        return float(errors("off", shown).sum())
+        return float(self.errors("off", shown).sum())
 
-    def better(kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
-        was = errors(kind, before)
-        gain = was - errors(kind, after)
-        return float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(validation) ** 0.5)
+    def is_better(self, kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
+        was = self.errors(kind, before)
+        gain = was - self.errors(kind, after)
+        return float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(self.validation) ** 0.5)
 
-    def of_validation(images: Sequence[Tensor]) -> list[Tensor]:
-        return [images[f] for f in validation]
 
-    def further(kind: Kind, images: Sequence[Tensor]) -> tuple[Tensor, Sequence[Tensor]]:
+def choose_offsets(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tried]:
+    """Whether frames have an offset of their own; and the ridge and the unknowns to go on from."""
+    judge = Judge(fit, validation)
+    if tried.with_offsets is None or tried.without is None or not judge.is_worth_a_look(tried.shown):
+        return "off", tried
+    images = fit.images(tried.with_offsets[0])
+    if judge.level("offset", images) > LEVEL_LOSS * float(judge.errors("off", tried.shown).sum()):
+        return "off", tried
+    if not judge.is_better("offset", tried.without[1], tried.with_offsets[1]):
+        return "off", tried
+    # And the ridge no longer has to stand up to drift.
+    return "offset", choose_ridge(fit, validation, tried.with_offsets[0], fit.gauged("offset", images))
+
+
+def choose_gains(
+    fit: Fit, validation: Sequence[int], kind: Kind, tried: Tried, images: list[Tensor], surface: Tensor | None
+) -> tuple[Kind, Tried, list[Tensor]]:
+    """Whether frames have a gain besides, the sensor's pattern taken out: vignetting that is left in looks like one.
+
+    Args:
+        images: of all frames, by `tried`. surface: see `Problem`.
+    """
+    judge = Judge(fit, validation)
+    if not judge.is_worth_a_look(tried.shown):
+        return kind, tried, images
+
+    def further(kind: Kind, images: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
         turns = 2 if kind == "gain-offset" else 1  # gains alternate, offsets are eliminated
         x = tried.x
         for _ in range(turns):
-            problem = fit.problem((tried.factor,), rest, drift=fit.gauged(kind, images))
+            problem = fit.problem((tried.factor,), judge.rest, drift=fit.gauged(kind, images), surface=surface)
             shown = [i[..., None] for i in images]
             x = solve(problem, x, iterations=DRIFT_ITERATIONS // turns, shown=shown, each=fit.each).x
             images = fit.images(x)
-        return x, images
+        return x, list(images)
 
-    if tried.with_offsets is None or tried.without is None or len(validation) < DRIFT_FRAMES:
-        return "off", tried
-    if own("gain-offset", tried.shown) < DRIFT_SHARE:
-        return "off", tried
-    limit = LEVEL_LOSS * float(errors("off", tried.shown).sum())
-    kind: Kind = "off"
-    images = fit.images(tried.with_offsets[0])
-    if level("offset", images) > limit:
-        return kind, tried
-    if better("offset", tried.without[1], tried.with_offsets[1]):
-        kind = "offset"  # and the ridge no longer has to stand up to drift
-        tried = choose_ridge(fit, validation, tried.with_offsets[0], fit.gauged(kind, images))
-    images = fit.images(tried.x)
     before, (gained, after) = further(kind, images)[1], further("gain-offset", images)
-    if level("gain-offset", after) <= limit and better("gain-offset", of_validation(before), of_validation(after)):
-        kind = "gain-offset"
-        tried = choose_ridge(fit, validation, gained, fit.gauged(kind, after))
-    return kind, tried
+    if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
+        return kind, tried, images
+    if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
+        return kind, tried, images
+    tried = choose_ridge(fit, validation, gained, fit.gauged("gain-offset", after))
+    return "gain-offset", tried, fit.images(tried.x)
 
 
 def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequence[Tensor]) -> Tensor | None:
