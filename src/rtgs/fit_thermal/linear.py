@@ -199,14 +199,15 @@ def fit_linear(
     validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
     tried = choose_ridge(fit, validation, fit.evidence.prior[:, None], aside=config.drift == "auto")
     kind = config.drift
+    looks_drifting = Judge(fit, validation).is_worth_a_look(tried.shown)
     if kind == "auto":
-        kind, tried = choose_offsets(fit, validation, tried)
+        kind, tried = choose_offsets(fit, validation, tried) if looks_drifting else ("off", tried)
     elif kind != "off":
         tried = choose_ridge(fit, validation, tried.x, fit.gauged(kind, fit.images(tried.x)))
     images = fit.images(tried.x)
     pattern = choose_pattern(fit, validation, kind, images)
     clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
-    if config.drift == "auto":
+    if config.drift == "auto" and looks_drifting:
         kind, tried, images = choose_gains(clean, validation, kind, tried, images, surface)
     x, images, drift, history = reweighted(clean, tried.factor, kind, tried.x, images, passes, surface)
     if pattern is not None:
@@ -330,7 +331,7 @@ class Judge:
 def choose_offsets(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tried]:
     """Whether frames have an offset of their own; and the ridge and the unknowns to go on from."""
     judge = Judge(fit, validation)
-    if tried.with_offsets is None or tried.without is None or not judge.is_worth_a_look(tried.shown):
+    if tried.with_offsets is None or tried.without is None:
         return "off", tried
     images = fit.images(tried.with_offsets[0])
     if judge.level("offset", images) > LEVEL_LOSS * float(judge.errors("off", tried.shown).sum()):
@@ -350,8 +351,6 @@ def choose_gains(
         images: of all frames, by `tried`. surface: see `Problem`.
     """
     judge = Judge(fit, validation)
-    if not judge.is_worth_a_look(tried.shown):
-        return kind, tried, images
 
     def further(kind: Kind, images: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
         turns = 2 if kind == "gain-offset" else 1  # gains alternate, offsets are eliminated
