@@ -352,21 +352,28 @@ def choose_gains(
     """
     judge = Judge(fit, validation)
 
-    def further(kind: Kind, images: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
+    def further(
+        kind: Kind, x: Tensor, images: list[Tensor], iterations: int, tolerance: float = 0.0
+    ) -> tuple[Tensor, list[Tensor]]:
         turns = 2 if kind == "gain-offset" else 1  # gains alternate, offsets are eliminated
-        x = tried.x
         for _ in range(turns):
             problem = fit.problem((tried.factor,), judge.rest, drift=fit.gauged(kind, images), surface=surface)
             shown = [i[..., None] for i in images]
-            x = solve(problem, x, iterations=DRIFT_ITERATIONS // turns, shown=shown, each=fit.each).x
+            x = solve(problem, x, iterations=iterations // turns, tolerance=tolerance, shown=shown, each=fit.each).x
             images = fit.images(x)
-        return x, list(images)
+        return x, images
 
-    before, (gained, after) = further(kind, images)[1], further("gain-offset", images)
+    if surface is not None:  # what the scene had taken of the vignetting it first has to give back
+        x, images = further(kind, tried.x, images, ITERATIONS, TOLERANCE)
+        tried = replace(tried, x=x)
+    before = further(kind, tried.x, images, DRIFT_ITERATIONS)[1]
+    gained, after = further("gain-offset", tried.x, images, DRIFT_ITERATIONS)
     if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
         return kind, tried, images
     if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
         return kind, tried, images
+    if surface is not None:  # ridges side by side know no surface, and would give what it has become back to the scene
+        return "gain-offset", replace(tried, x=gained), after
     tried = choose_ridge(fit, validation, gained, fit.gauged("gain-offset", after))
     return "gain-offset", tried, fit.images(tried.x)
 
