@@ -85,8 +85,8 @@ def camera_record(radiometry: PlanckRadiometry = RADIOMETRY, order: str = "<", p
     return bytes(record)
 
 
-def fusion_record(real2ir: float = 1.5) -> bytes:
-    return struct.pack("<fhh", real2ir, 14, -7).ljust(0x60, b"\0")
+def fusion_record(real2ir: float = 1.5, offset: tuple[int, int] = (1, -1)) -> bytes:
+    return struct.pack("<fhh", real2ir, *offset).ljust(0x60, b"\0")
 
 
 def records(counts: NDArray[np.uint16] | None = None, **changes: bytes | None) -> dict[int, bytes]:

@@ -180,7 +180,7 @@ def test_what_was_put_in_comes_out(tmp_path: Path) -> None:
     assert (image.make, image.model, image.serial, image.lens) == ("FLIR Systems AB", "FLIR T0", "12345", "FOL9")
     assert image.captured_at == datetime(2024, 5, 6, 7, 8, 9)
     assert image.gps[2] == GPS[2] and image.gps[1] == "N"
-    assert image.fusion is not None and (image.fusion.real2ir, image.fusion.offset_x, image.fusion.offset_y) == (1.5, 14, -7)
+    assert image.fusion is not None and (image.fusion.real2ir, image.fusion.offset_x, image.fusion.offset_y) == (1.5, 1, -1)
     assert picture(image).size == VISIBLE_SIZE
     assert image.focal_length_px == pytest.approx(THERMAL_SIZE[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2)))
 

@@ -27,6 +27,7 @@ from radiometric_files import (
     fff,
     flir_jpeg,
     flir_segments,
+    fusion_record,
     image_record,
     jpeg,
     needs_samples,
@@ -205,6 +206,18 @@ def test_a_rig_of_another_camera_is_noted(photographs: Path, tmp_path: Path) -> 
     assert "rgb.fl_x is 60.0 in the rig, and the fusion setting Real2IR" in notes
     assert "own conversion to °C gave way" in notes
     assert read_rig(tmp_path / "out" / "rig.json").radiometry != CENTIKELVIN
+
+
+@pytest.mark.parametrize("x", [-6.0, 6.0])
+def test_a_rig_that_looks_elsewhere_than_the_overlay_is_noted(photographs: Path, tmp_path: Path, x: float) -> None:
+    flir_jpeg(photographs / f"{NAMES[0]}.jpg", counts_of(0), fusion=fusion_record(offset=(round(x), 0)))
+    # Turned about y by φ the thermal camera looks to where x = f·tan φ; the baseline's parallax is a pixel and a half at most.
+    turned = SE3(rotation_from_axis_angle([0.0, np.arctan(6.0 / RGB_FOCAL_PX), 0.0]), RIG.rgb_from_thermal.translation)
+    write_rig(tmp_path / "rig.json", Rig(RIG.rgb, RIG.thermal, turned), None)
+    notes = " ".join(import_folder("flir", photographs, tmp_path / "out", rig=tmp_path / "rig.json").notes)
+    assert ("OffsetX" in notes) == (x < 0)
+    if x < 0:
+        assert "12 px or more" in notes and "(-6, +0) px" in notes
 
 
 def test_visible_pictures_from_a_folder(photographs: Path, tmp_path: Path, rig: Path) -> None:

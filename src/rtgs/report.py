@@ -444,7 +444,7 @@ def _scan_chart(scale: Mapping[str, Any]) -> str:
     per_frame = [c for c in (_floats(v) for v in (scan.get("per_frame") or {}).values()) if len(c) == len(x)]
     if len(error) != len(x) and len(per_frame) > 1:
         error = np.std(per_frame, axis=0, ddof=1) / math.sqrt(len(per_frame))
-    figure, axes = _axes("SfM units per metre", "loss (Eq. 4)")
+    figure, axes = _axes("SfM units per metre", "loss")
     order = np.argsort(x)
     x, loss = x[order], loss[order]
     if len(error) == len(x):

@@ -36,7 +36,8 @@ class Fusion:
 
     Attributes:
         real2ir: how many times wider the visible camera sees than the thermal image, times the digital zoom in use.
-        offset_x, offset_y: shift of the visible picture that aligns both, in its pixels, at the distance focused on.
+        offset_x, offset_y: where the thermal image's centre lies in the visible picture, from its centre, in its pixels, at the distance
+            focused on. (Found so on sample files by registering edges: to 20 pixels on two cameras.)
         digital_zoom: the EXIF DigitalZoomRatio, 1 when absent.
     """
 

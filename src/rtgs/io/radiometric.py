@@ -25,11 +25,14 @@ from rtgs.io.images import list_images, read_header
 from rtgs.io.rig import RigFile, camera_to_json, radiometry_to_json, read_rig, write_rig
 from rtgs.progress import Progress
 from rtgs.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
+from rtgs.scene import Rig
 
 Brand = Literal["flir", "dji"]
 _MAKE, _MODEL, _DATE_TIME, _GPS_IFD = 271, 272, 306, 0x8825
 _FOCAL_TOLERANCE = 0.05  # of a nominal field of view
 _REAL2IR_TOLERANCE = 0.15  # it is made for display
+_OFFSET_TOLERANCE = 0.08  # of the visible picture's width, likewise
+_NEAREST_M = 0.5  # that such a camera focuses on
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class _Shot:
         counts, radiometry: `[h, w]`, and what makes °C of it.
         visible, suffix: the visible picture's file, encoded, and its suffix.
         thermal_focal_px, rgb_focal_px: nominal, where the files say.
-        rgb_focal_hint_px: from the fusion settings, rough.
+        rgb_focal_hint_px, centre_hint_px: from the fusion settings, rough: the latter where the thermal image's centre lies in the visible
+            picture, from its centre.
     """
 
     name: str
@@ -67,6 +71,7 @@ class _Shot:
     thermal_focal_px: float | None
     rgb_focal_px: float | None
     rgb_focal_hint_px: float | None
+    centre_hint_px: tuple[float, float] | None
 
     @property
     def rgb_size(self) -> tuple[int, int]:
@@ -89,6 +94,7 @@ class _Facts:
     thermal_focal_px: float | None
     rgb_focal_px: float | None
     rgb_focal_hint_px: float | None
+    centre_hint_px: tuple[float, float] | None
     differing: int  # frames with another calibration or other object parameters
 
 
@@ -188,12 +194,14 @@ def _reader(brand: Brand, rgb: Path | None, pictures: dict[str, Path] | None) ->
                 "names with --rgb FOLDER."
             )
         visible, suffix = _embedded(image) if given is None else _picture(given)
-        hint = None
+        hint = centre = None
+        if given is None and image.fusion is not None:
+            centre = float(image.fusion.offset_x), float(image.fusion.offset_y)
         if given is None and image.focal_length_px is not None and image.fusion is not None:
             ratio = image.fusion.real2ir / max(1.0, image.fusion.digital_zoom)
             hint = image.focal_length_px * _size(visible)[0] / image.counts.shape[1] / ratio
         return _checked(
-            _Shot(path.stem, path, image.counts, image.radiometry, visible, suffix, image.focal_length_px, None, hint)
+            _Shot(path.stem, path, image.counts, image.radiometry, visible, suffix, image.focal_length_px, None, hint, centre)
         )
 
     def dji_(path: Path) -> _Shot:
@@ -206,7 +214,7 @@ def _reader(brand: Brand, rgb: Path | None, pictures: dict[str, Path] | None) ->
             )
         rgb_focal_px = dji.focal_length_px(partner)
         return _checked(
-            _Shot(name, path, image.counts, image.radiometry, *_picture(partner), image.focal_length_px, rgb_focal_px, None)
+            _Shot(name, path, image.counts, image.radiometry, *_picture(partner), image.focal_length_px, rgb_focal_px, None, None)
         )
 
     return flir if brand == "flir" else dji_
@@ -276,7 +284,7 @@ def _facts(shots: Iterable[_Shot]) -> _Facts:
         sizes = shot.thermal_size, shot.rgb_size
         if facts is None:
             focals = shot.thermal_focal_px, shot.rgb_focal_px, shot.rgb_focal_hint_px
-            facts = _Facts(shot.source, shot.radiometry, *sizes, *focals, differing=0)
+            facts = _Facts(shot.source, shot.radiometry, *sizes, *focals, shot.centre_hint_px, differing=0)
         for what, here, there in zip(("thermal", "visible"), sizes, (facts.thermal_size, facts.rgb_size), strict=True):
             if here != there:
                 raise RtgsError(
@@ -323,9 +331,29 @@ def _disagreements(rig_file: RigFile, facts: _Facts) -> list[str]:
         for field, given, nominal, source, tolerance in checks
         if nominal is not None and abs(given / nominal - 1) > tolerance
     ]
+    if facts.centre_hint_px is not None:
+        path = _centre_in_rgb(rig_file.rig) - np.array(facts.centre_hint_px)
+        away = float(np.linalg.norm(path, axis=1).min())
+        if away > _OFFSET_TOLERANCE * facts.rgb_size[0]:
+            x, y = facts.centre_hint_px
+            notes.append(
+                f"rgb_from_thermal puts the thermal image's centre {away:.0f} px or more from where OffsetX and OffsetY in "
+                f"{facts.first.name} have it, ({x:+.0f}, {y:+.0f}) px from the visible picture's centre, at any distance. Is it the rig of "
+                "this camera, and the right way round?"
+            )
     if rig_file.radiometry is not None:
         notes.append("The rig's own conversion to °C gave way to that of the files.")
     return notes
+
+
+def _centre_in_rgb(rig: Rig) -> NDArray[np.float64]:
+    """`[D, 2]`: where the middle of the thermal image lies in the RGB image, from its middle, in pixels, near by to far away."""
+    rgb, thermal = rig.rgb, rig.thermal
+    ray = np.array([(thermal.width / 2 - thermal.cx) / thermal.fl_x, (thermal.height / 2 - thermal.cy) / thermal.fl_y, 1.0])
+    points = rig.rgb_from_thermal.apply(np.geomspace(_NEAREST_M, 1000.0, 60)[:, None] * ray)
+    points = points[points[:, 2] > 0]
+    pixels = points[:, :2] / points[:, 2:] * (rgb.fl_x, rgb.fl_y) + (rgb.cx, rgb.cy)
+    return np.asarray(pixels - (rgb.width / 2, rgb.height / 2)) if len(points) else np.full((1, 2), np.inf)
 
 
 def _rig_without_calibration(facts: _Facts) -> tuple[dict[str, Any], list[str]]:
