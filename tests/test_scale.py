@@ -19,7 +19,7 @@ from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
 from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3, is_rotation, look_at, rotation_from_axis_angle
-from rtgs.image import GRAY_WEIGHTS
+from rtgs.image import GRAY_WEIGHTS, blurred
 from rtgs.io.rig import read_rig
 from rtgs.losses import NgfPyramid
 from rtgs.models import RgbModel
@@ -32,7 +32,7 @@ from rtgs.scale.interval import LocalCurves, bootstrap, curve_minima, curve_mini
 from rtgs.scale.noise import mean_gradients, model_error
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
-from rtgs.scale.search import Pictures, scan_thetas
+from rtgs.scale.search import Pictures, Search, scan_thetas
 from rtgs.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
 from rtgs.sensor import sensor_pattern
 from rtgs.sh import C0
@@ -717,6 +717,63 @@ def test_an_epsilon_of_the_size_of_edges_rewards_larger_edges() -> None:
         curves = np.array([[loss.loss(i, t) for t in thetas] for i in range(len(loss.frames))])
         off.append(abs(curve_minimum(thetas, curves.mean(axis=0))))
     assert off[0] < 0.01 and off[1] > 0.02
+
+
+def soft(scene: Scene, sigma: float) -> Scene:
+    """The same with thermal images under a Gaussian."""
+    frames = tuple(
+        replace(f, thermal=gaussian_filter(f.thermal, sigma, mode="nearest") if sigma else f.thermal)
+        for f in scene.capture.frames
+    )
+    return replace(scene, capture=replace(scene.capture, frames=frames))
+
+
+def test_a_picture_is_blurred_as_scipy_does() -> None:
+    image = np.random.default_rng(0).normal(size=(2, 30, 41))
+    for sigma in (0.7, 2.0):
+        expected = [gaussian_filter(plane, sigma, mode="nearest", radius=math.ceil(3 * sigma)) for plane in image]
+        np.testing.assert_allclose(blurred(torch.from_numpy(image), sigma), expected, atol=1e-12)
+
+
+def test_a_soft_objective_is_the_loss_of_the_blurred_render() -> None:
+    scene, model = spiral(0, RIG, 1.3)
+    pictures = replace(Pictures.of(scene, model, scene.train_frames, PAPER_LEVEL_WEIGHTS, None, Counter(None)), blur_px=1.5)
+    sharp, softer, theta = replace(pictures, blur_px=0.0).objective(), pictures.objective(), math.log(1.2)
+    gray = sharp.gray(2, torch.tensor(theta, dtype=torch.float64))
+    expected = sharp._fused_ngf(2).loss(blurred(gray[None], 1.5)[0].numpy())
+    assert softer.loss(2, theta) == pytest.approx(expected, abs=1e-6)
+    np.testing.assert_allclose(sharp.loss_over_blur(2, theta, (0.0, 1.5)), [sharp.loss(2, theta), expected], atol=1e-6)
+    assert abs(expected - sharp.loss(2, theta)) > 1e-3
+    h = 1e-3
+    secant = (softer.loss(2, theta + h) - softer.loss(2, theta - h)) / (2 * h)
+    assert softer.evaluate(2, theta).slope == pytest.approx(secant, rel=0.1, abs=0.01)
+    assert softer.loss_and_slope_in_reverse(2, theta)[1] == pytest.approx(softer.evaluate(2, theta).slope, rel=0.02, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_soft_lens_is_noticed_and_allowed_for(seed: int) -> None:
+    scene, model = spiral(seed, RIG, 1.3)
+    sharp = estimate_scale(scene, model, GLOBAL)
+    softer = estimate_scale(soft(scene, 2.0), model, GLOBAL)
+    assert sharp.blur_px == 0.0 and 1.4 <= softer.blur_px <= 2.8
+    assert softer.status == "ok" and softer.ci95 is not None and sharp.ci95 is not None
+    assert softer.ci95[0] < 1.3 < softer.ci95[1]
+    assert math.log(softer.ci95[1] / softer.ci95[0]) > 1.5 * math.log(sharp.ci95[1] / sharp.ci95[0])
+    assert abs(softer.sfm_per_metre / 1.3 - 1) < 0.02
+
+
+def test_renders_as_soft_as_the_lens_halve_the_error() -> None:
+    errors = np.zeros((3, 2))
+    for seed in range(3):
+        scene, model = spiral(seed, RIG, 1.3)
+        for column in range(2):
+            with pytest.MonkeyPatch.context() as patch:
+                if column:
+                    patch.setattr(Search, "as_soft_as_the_lens", lambda _, found: found)
+                found = estimate_scale(soft(scene, 2.0), model, GLOBAL)
+            errors[seed, column] = abs(found.sfm_per_metre / 1.3 - 1)
+    print(errors)
+    assert errors[:, 0].mean() < 0.6 * errors[:, 1].mean()
 
 
 def test_a_comparison_may_count_only_what_the_model_covers() -> None:

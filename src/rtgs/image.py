@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -41,6 +43,18 @@ def downsample(image: Tensor, factor: int) -> Tensor:
     h, w = image.shape[0] // factor, image.shape[1] // factor
     blocks = image[: h * factor, : w * factor].reshape(h, factor, w, factor, *image.shape[2:])
     return blocks.mean(dim=(1, 3))
+
+
+def blurred(images: Tensor, sigma: float) -> Tensor:
+    """`[K, H, W]` under a Gaussian of standard deviation `sigma` pixels; edge pixels go on beyond the edge."""
+    reach = max(1, math.ceil(3.0 * sigma))
+    x = torch.arange(-reach, reach + 1, dtype=images.dtype, device=images.device)
+    kernel = torch.exp(-0.5 * (x / sigma) ** 2)
+    kernel = kernel / kernel.sum()
+    padded = torch.nn.functional.pad(images[:, None], (reach, reach, reach, reach), mode="replicate")
+    return torch.nn.functional.conv2d(torch.nn.functional.conv2d(padded, kernel.view(1, 1, 1, -1)), kernel.view(1, 1, -1, 1))[
+        :, 0
+    ]
 
 
 def downsample_mask(mask: Tensor, factor: int) -> Tensor:

@@ -15,7 +15,7 @@ from rtgs.progress import Progress
 from rtgs.scale.adam import adam
 from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log
-from rtgs.scale.interval import MODEL_PIXELS, LocalCurves, interval, widened, window
+from rtgs.scale.interval import LocalCurves, interval, model_pixels, widened, window
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, History, Minimum, ScaleEstimate, Scan, Status
 from rtgs.scale.refine import refine
@@ -143,7 +143,8 @@ def _globally(
         starts = [float(thetas[j]) for j in candidates]
     counter.plan(len(starts) * search.refine_renders() + 6 * len(frames))
     minima = search.refine(starts)
-    best = minima[0].place
+    minima[0] = search.as_soft_as_the_lens(minima[0])
+    pictures, best = search.pictures, minima[0].place
     doubt = doubt or _outside(best.theta, limits)
 
     objective = pictures.objective()
@@ -163,7 +164,7 @@ def _globally(
     disagreeing = [] if doubt or not closed else search.disagreeing(theta, local.frames)
     renders = pictures.renders_in_all()
     rivals = _rivals(minima, config.seed)
-    found = _Found(theta, math.exp(minima[0].start), scan, search.history, rivals, disagreeing, renders)
+    found = _Found(theta, math.exp(minima[0].start), scan, search.history, rivals, disagreeing, renders, pictures.blur_px)
     return _result(scene, config, used, limits, objective, local, found, doubt, closed)
 
 
@@ -178,6 +179,7 @@ class _Found:
     rivals: list[Minimum]
     disagreeing: list[str]
     renders: int
+    blur_px: float = 0.0
 
 
 def _result(
@@ -196,7 +198,7 @@ def _result(
     std_log, ci95, reason, std = None, None, doubt, scene.rig.calibration_std
     calibration = None if std is None else calibration_std_log(objective, scene.rig, found.theta, std, local.frames)
     if len(frames) > 1:
-        model = min(MODEL_PIXELS * 2 * limits[0] / math.exp(found.theta), 2 * _WIDEST)
+        model = min(model_pixels(found.blur_px) * 2 * limits[0] / math.exp(found.theta), 2 * _WIDEST)
         std_log, ci95 = interval(grid, curves, found.theta, math.hypot(model, calibration or 0.0), config.seed)
         if not reason and not closed:
             reason = (
@@ -231,6 +233,7 @@ def _result(
         disagreeing=found.disagreeing,
         calibration_std_log=calibration,
         renders=found.renders,
+        blur_px=found.blur_px,
     )
 
 

@@ -20,6 +20,15 @@ _MOST_SETTLINGS = 4
 MODEL_PIXELS = 0.05
 """Edges of a render lie beside those of the photograph, in many frames alike: by how much, as `benchmarks/scale_coverage.py` has it."""
 
+_BLUR_SHARE = (
+    0.1  # of the blur, to which an edge is placed in it where modalities differ (`--table 2`, `benchmarks/scale_coverage.py`)
+)
+
+
+def model_pixels(blur_px: float, sharp: float = MODEL_PIXELS) -> float:
+    """Standard deviation of where the model's edges lie, in pixels: for sharp thermal images, and for soft ones."""
+    return math.hypot(sharp, _BLUR_SHARE * blur_px)
+
 
 class LocalCurves:
     """Per-frame losses and slopes at a few θ; between two of them a curve is the cubic with these values and slopes (Hermite)."""

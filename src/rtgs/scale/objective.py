@@ -14,7 +14,7 @@ from torch import Tensor
 from rtgs.camera import Camera
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
-from rtgs.image import GRAY_WEIGHTS, SOBEL, downsample, downsample_mask, to_gray
+from rtgs.image import GRAY_WEIGHTS, SOBEL, blurred, downsample, downsample_mask, to_gray
 from rtgs.losses import NgfPyramid
 from rtgs.ngf import FusedNgf, Products
 from rtgs.render import Direction, RenderSettings, render, render_with_tangents
@@ -40,6 +40,7 @@ class Objective:
         level_weights: of Eq. 7, beginning with the level of the pictures compared.
         epsilon: of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the thermal image's.
         per_edge, across: as in `NgfPyramid.of`.
+        blur_px: standard deviation of a Gaussian that renders are blurred by, in pixels of the full size: what the thermal lens does.
         reduction: compare pictures reduced by this factor: rendered small, not rendered and shrunk.
         thermal: frame name → image `[h, w]` in [0, 1]; None: the frames' own over their common range.
         masks: frame name → pixels `[h, w]` where the loss counts; None: the capture's thermal mask for all.
@@ -58,6 +59,7 @@ class Objective:
         render_epsilon: float | tuple[float, ...] | None = None,
         per_edge: bool = False,
         across: tuple[float, float] = SOBEL,
+        blur_px: float = 0.0,
         reduction: int = 1,
         thermal: Mapping[str, NDArray[np.float32]] | None = None,
         masks: Mapping[str, NDArray[np.bool_]] | None = None,
@@ -69,7 +71,7 @@ class Objective:
         self._dtype = gaussians.means.dtype
         self._background = to_gray(background).to(self._dtype)
         self._settings = replace(settings, with_depth=False, channel_weights=GRAY_WEIGHTS)
-        self._reduction = reduction
+        self._reduction, self._sigma = reduction, blur_px / reduction
         self._camera: Camera = reduced(scene.rig.thermal, reduction)
         self._rgb_from_thermal = scene.rig.rgb_from_thermal.to_torch(torch.float64)
         self._world_from_rgb = [scene.world_from_rgb_at_thermal(f.name).to_torch(torch.float64) for f in frames]
@@ -118,13 +120,22 @@ class Objective:
         """Î_i^gray(s) `[h, w]` (Eqs. 1–3), differentiable in θ (a float64 scalar)."""
         self.renders += 1
         view = render(self._gaussians, self._camera, self._pose(index, theta), settings=self._settings)
-        return view.color[..., 0] + (1.0 - view.alpha) * self._background
+        gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
+        return blurred(gray[None], self._sigma)[0] if self._sigma else gray
 
     def loss(self, index: int, theta: float) -> float:
         """Eq. 7 for one frame."""
         with torch.no_grad():
             gray = self.gray(index, torch.tensor(theta, dtype=torch.float64))
             return self._fused_ngf(index).loss(gray.numpy()) if self._is_fused else float(self._pyramid(index)(gray))
+
+    def loss_over_blur(self, index: int, theta: float, sigmas: Sequence[float]) -> NDArray[np.float64]:
+        """Eq. 7 of one picture, drawn once and blurred by each of these, in pixels of its own size."""
+        with torch.no_grad():
+            gray = self.gray(index, torch.tensor(theta, dtype=torch.float64))
+            pictures = [blurred(gray[None], sigma)[0] if sigma else gray for sigma in sigmas]
+        fused = self._is_fused
+        return np.array([self._fused_ngf(index).loss(p.numpy()) if fused else float(self._pyramid(index)(p)) for p in pictures])
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
         """Eq. 7 for one frame and its derivative by θ: in forward mode where the back end has it."""
@@ -194,9 +205,7 @@ class Objective:
         small = [replace(way, **{k: getattr(way, k) / self._reduction for k in lens}) for way in ways]
         pose = camera_from_world.to_torch(torch.float64)
         camera = reduced(camera, self._reduction)
-        view, tangents = render_with_tangents(self._gaussians, camera, pose, small, settings=self._settings)
-        gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
-        rates = tangents.over(self._background[None])[..., 0]
+        gray, rates = self._drawn(camera, pose, small)
         if self._is_fused:
             return self._fused_ngf(index).products(gray.numpy(), np.ascontiguousarray(rates.numpy()))
         pyramid = self._pyramid(index)
@@ -209,9 +218,16 @@ class Objective:
         """Gray picture `[h, w]` and its tangents `[K, h, w]`."""
         self.renders += 1
         pose = self._pose(index, torch.tensor(theta, dtype=torch.float64))
-        view, tangents = render_with_tangents(self._gaussians, self._camera, pose, ways, settings=self._settings)
+        return self._drawn(self._camera, pose, ways)
+
+    def _drawn(self, camera: Camera, pose: SE3, ways: Sequence[Direction]) -> tuple[Tensor, Tensor]:
+        view, tangents = render_with_tangents(self._gaussians, camera, pose, ways, settings=self._settings)
         gray = view.color[..., 0] + (1.0 - view.alpha) * self._background
-        return gray, tangents.over(self._background[None])[..., 0]
+        rates = tangents.over(self._background[None])[..., 0]
+        if not self._sigma:
+            return gray, rates
+        both = blurred(torch.cat([gray[None], rates]), self._sigma)
+        return both[0], both[1:]
 
     def _scale_direction(self, theta: float) -> Direction:
         # x_thermal = Rᵀ(x_rgb − s·t), so ∂x_thermal/∂ln s = −s·Rᵀt.

@@ -153,6 +153,7 @@ class ScaleEstimate:
         disagreeing: frames that place their own minimum far from the answer.
         calibration_std_log: share of `std_log` that is the calibration's; None when `rig.json` does not state any.
         renders: how many pictures were drawn.
+        blur_px: by how much thermal images were found softer than renders: standard deviation of a Gaussian, in thermal pixels.
         refinement: the calibration, where it was refined with the scale; `refined_scene` has it.
     """
 
@@ -173,6 +174,7 @@ class ScaleEstimate:
     disagreeing: list[str] = field(default_factory=list)
     calibration_std_log: float | None = None
     renders: int = 0
+    blur_px: float = 0.0
     refinement: Refinement | None = None
 
     @property

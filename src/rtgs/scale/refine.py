@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
 from rtgs.models import RgbModel
-from rtgs.scale.interval import MODEL_PIXELS, LocalCurves, block_length, small_sample_factor
+from rtgs.scale.interval import LocalCurves, block_length, model_pixels, small_sample_factor
 from rtgs.scale.joint import Joint, Point, Vector
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, Refinement, ScaleEstimate, Scan
@@ -54,6 +54,7 @@ def refine(
     joint = Joint(scene, [*asked, *held], counter)
     free = np.arange(joint.size) <= len(asked)
     pictures = Pictures.of(scene, model, frames, config.level_weights, config.epsilon, counter)
+    pictures = replace(pictures, blur_px=estimate.blur_px)
     found = solve(joint, pictures, start, free)
 
     theta, rig = float(found.x[0]), joint.rig(found.x)
@@ -117,13 +118,13 @@ def covariance(hessian: Vector, g: Vector, prior: Vector, weight: float) -> Vect
     return inverse @ (g + weight**2 * prior) @ inverse
 
 
-def bias(hessian: Vector, pixels: Vector) -> Vector:
+def bias(hessian: Vector, pixels: Vector, blur_px: float = 0.0) -> Vector:
     """`[K, K]`: covariance of the gradient that model errors leave, all frames alike; θ comes first.
 
     Edges of a render lie beside those of the photograph, in fields as smooth as those of the unknowns themselves: x is off by as much as
     makes such a field. A tenth of it has no such form, so that what the unknowns do alike does not cancel it.
     """
-    std = np.array([MODEL_PIXELS, *[_CALIBRATION_PIXELS] * (len(pixels) - 1)]) / pixels
+    std = np.array([model_pixels(blur_px), *[model_pixels(blur_px, _CALIBRATION_PIXELS)] * (len(pixels) - 1)]) / pixels
     alike, alone = hessian * std, 0.1 * np.diag(hessian) * std
     return np.asarray(alike @ alike.T + np.diag(alone**2))
 
@@ -172,7 +173,7 @@ def solve(joint: Joint, pictures: Pictures, theta: float, free: NDArray[np.bool_
             began = x
             hessian = joint.hessian(objective, few, x, np.minimum(_HESSIAN_PIXELS * coarse_pixel / pixels, 1.0))
             curved = positive(hessian[np.ix_(free, free)], here.gauss_newton[np.ix_(free, free)])
-            scatter = noise(here.gradients[:, free]) + bias(curved, pixels[free])
+            scatter = noise(here.gradients[:, free]) + bias(curved, pixels[free], pictures.blur_px)
             weight = best_weight(curved, scatter, prior)
             here = _descend(joint, objective, indices, here, curved + weight * prior, weight, free, pixels / coarse_pixel)
             x = here.x

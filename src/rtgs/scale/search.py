@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ _RATIO = 0.25  # of neighbouring scales in the scan, where the flow is small
 _MOST_MINIMA = 3
 _AROUND = (-4.0, -2.0, 0.0, 2.0, 4.0)  # coarse pixels of flow from the answer
 UNLIKELY = 3.0  # standard errors
+_BLURS = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.3, 16.0)  # pixels
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class Pictures:
         frames: training frames. thermal: frame name → `[h, w]`.
         epsilon, render_epsilon: one a level; fixed numbers make every level alike.
         masks: frame name → pixels that count; None: all valid ones.
+        blur_px: standard deviation of the Gaussian that renders are blurred by, to be as soft as the thermal images.
     """
 
     scene: Scene
@@ -70,6 +72,7 @@ class Pictures:
     render_epsilon: tuple[float, ...]
     comparison: Comparison
     masks: dict[str, NDArray[np.bool_]] | None = None
+    blur_px: float = 0.0
     renders: int = 0
     objectives: dict[int, Objective] = field(init=False, default_factory=dict)
 
@@ -109,7 +112,7 @@ class Pictures:
         everywhere = np.ones(errors[0].shape, dtype=bool)
         other = mean_gradients(errors, everywhere, levels, comparison.across)
         own, other = (tuple(comparison.edge * e for e in measured) for measured in (own, other))
-        return Pictures(scene, model, tuple(frames), thermal, level_weights, own, other, comparison, masks, len(drawn))
+        return Pictures(scene, model, tuple(frames), thermal, level_weights, own, other, comparison, masks, renders=len(drawn))
 
     def objective(self, halved: int = 0) -> Objective:
         """Eq. 7, per edge, on pictures halved so many times: the level weights at full size, two equal levels below. Made once."""
@@ -134,6 +137,7 @@ class Pictures:
             render_epsilon=self.render_epsilon[levels],
             per_edge=self.comparison.per_edge,
             across=self.comparison.across,
+            blur_px=self.blur_px,
             reduction=2**halved,
             thermal=self.thermal,
             masks=self.masks,
@@ -279,6 +283,31 @@ class Search:
             kept = [kept[0], *(r for r in kept[1:] if significance(r.above) < UNLIKELY)]
             running = [(r.start, r.place.theta) for r in kept]
         return [*kept, *sorted(behind, key=lambda r: float(r.above.mean()))]
+
+    def as_soft_as_the_lens(self, found: Refined) -> Refined:
+        """Down again from a minimum, with the renders blurred as the thermal images are, as far as that makes them agree.
+
+        A soft edge is as wide as the blur, and where in it a sharp edge lies best depends on what else is near. Beside an equally soft
+        one it is well placed again, by half to nine tenths of the error.
+        """
+        frames = sorted(self._refined[:: -(-len(self._refined) // EPSILON_FRAMES)])
+        self._counter.plan(len(frames))
+        objective, losses = self._pictures.objective(), []
+        for i in frames:
+            losses.append(objective.loss_over_blur(i, found.place.theta, _BLURS))
+            self._counter("blur")
+        curves = np.array(losses)
+        best = int(curves.mean(axis=0).argmin())
+        if best == 0 or significance(curves[:, 0] - curves[:, best]) < UNLIKELY:
+            return found
+        self._pictures = replace(self._pictures, blur_px=_BLURS[best], renders=self._pictures.renders_in_all())
+        self._counter.plan(self.refine_renders())
+        return replace(found, place=self._descend(found.place.theta, 0))
+
+    @property
+    def pictures(self) -> Pictures:
+        """As they are compared now."""
+        return self._pictures
 
     def _descend(self, theta: float, halved: int) -> Place:
         pixel = min(self._pixel(theta, halved), 0.5)
