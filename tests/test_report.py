@@ -263,11 +263,18 @@ def test_a_search_shows_its_minima_its_frames_and_the_curve_beside_the_answer(tm
     curves = {n: [0.9 + k * 0.01, 0.88, 0.87, 0.88, 0.9] for k, n in enumerate(HELD_OUT)}
     local = {"sfm_per_metre": s, "loss": [0.9, 0.88, 0.87, 0.88, 0.9], "std_error": [0.0] * 5, "per_frame": curves}
     minima = [{"sfm_per_metre": 7.125, "loss_above": 0.01, "chance": 0.12}]
-    scale = json_files()["scale"] | {"solver": "global", "minima": minima, "disagreeing": ["frame_<9>"], "local": local}
+    scale = json_files()["scale"] | {
+        "solver": "global",
+        "minima": minima,
+        "disagreeing": ["frame_<9>"],
+        "local": local,
+        "blur_px": 2.8,
+    }
     (run / "scale.json").write_text(json.dumps(scale))
     text = write_report(run).read_text()
     assert "other minimum: 7.125" in text and "7.125 (better in 12 % of resamples)" in text
     assert "frame_&lt;9&gt;" in text and "single frames" in text
+    assert "Blur of the thermal lens" in text and "2.8 px" in text
     assert "scan and Gauss-Newton" in text and "Refinement by" not in text
 
 

@@ -207,6 +207,7 @@ def _scale(run: _Run) -> str:
         "Started at": f"{scale['init']:.4g}" if _number(scale.get("init")) is not None else scale.get("init"),
         "Frames used": len(scale["frames"]) if isinstance(scale.get("frames"), list) else None,
         "Other minima": ", ".join(f"{s:.4g} (better in {100 * c:.2g} % of resamples)" for s, c in _minima(scale)) or None,
+        "Blur of the thermal lens": f"{blur:.2g} px" if (blur := _number(scale.get("blur_px"))) else None,
         "Frames that disagree": ", ".join(map(str, scale.get("disagreeing") or [])) or None,
     }
     reason = scale.get("reason")
