@@ -93,4 +93,4 @@ def _slope(fixed, moving, rate, gains):  # type: ignore[no-untyped-def]
     return total
 
 
-MUTUAL_INFORMATION = Rival("mutual_information", "mutual information (Mattes)", MutualInformation, smooth_px=0.5)
+MUTUAL_INFORMATION = Rival("mutual_information", "mutual information (Mattes)", MutualInformation, smooth_px=0.25)
