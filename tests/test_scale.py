@@ -32,7 +32,7 @@ from rtgs.scale.interval import LocalCurves, bootstrap, curve_minima, curve_mini
 from rtgs.scale.noise import mean_gradients, model_error
 from rtgs.scale.objective import Evaluation, reduced
 from rtgs.scale.records import Counter, History, Scan
-from rtgs.scale.search import Pictures, Search, scan_thetas
+from rtgs.scale.search import Pictures, Search, halvings, scan_thetas
 from rtgs.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
 from rtgs.sensor import sensor_pattern
 from rtgs.sh import C0
@@ -799,6 +799,15 @@ def test_a_comparison_may_count_only_what_the_model_covers() -> None:
     gray = covered.gray(index, torch.tensor(theta, dtype=torch.float64)).double()
     assert covered.loss(index, theta) == pytest.approx(float(target(gray)), abs=1e-5)
     assert abs(covered.loss(index, theta) - whole.loss(index, theta)) > 1e-3
+
+
+@pytest.mark.parametrize("weights", [(1.0,), (1.0, 1.0, 1.0, 1.0)])
+def test_few_and_many_levels_at_a_size_that_is_halved(weights: tuple[float, ...]) -> None:
+    rig = Rig(RIG.rgb.resized(168, 144), RIG.thermal.resized(168, 132), RIG.rgb_from_thermal)
+    scene, model = spiral(0, rig, 1.3)
+    assert halvings(scene) == 1
+    found = estimate_scale(scene, model, replace(GLOBAL, level_weights=weights)).sfm_per_metre
+    assert abs(found / 1.3 - 1) < 0.01
 
 
 @pytest.mark.parametrize("across", [(0.75, 2.5), (0.0, 4.0)])

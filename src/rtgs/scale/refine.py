@@ -18,7 +18,7 @@ from rtgs.scale.interval import LocalCurves, block_length, model_pixels, small_s
 from rtgs.scale.joint import Joint, Point, Vector
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, Refinement, ScaleEstimate, Scan
-from rtgs.scale.search import Pictures, halvings
+from rtgs.scale.search import Pictures, halvings, softness
 from rtgs.scale.unknowns import stated, unknowns
 from rtgs.scene import Frame, Scene
 
@@ -54,8 +54,13 @@ def refine(
     joint = Joint(scene, [*asked, *held], counter)
     free = np.arange(joint.size) <= len(asked)
     pictures = Pictures.of(scene, model, frames, config.level_weights, config.epsilon, counter)
-    pictures = replace(pictures, blur_px=estimate.blur_px)
     found = solve(joint, pictures, start, free)
+    # What was found with a wrong calibration says nothing: misplaced edges agree better with soft ones.
+    refined = replace(pictures, scene=joint.scene_at(found.x)).objective()
+    blur_px = softness(refined, range(len(frames)), float(found.x[0]), counter)
+    if blur_px:
+        pictures = replace(pictures, blur_px=blur_px, renders=pictures.renders_in_all())
+        found = solve(joint, pictures, float(found.x[0]), free)
 
     theta, rig = float(found.x[0]), joint.rig(found.x)
     calibration = math.hypot(float(np.linalg.norm(found.response[0])), std.baseline_length if std else 0.0)
@@ -86,7 +91,8 @@ def refine(
         frames=[f.name for f in frames],
         local=Scan.of(np.array(curves.thetas), curves.values(), [f.name for f in frames]),
         calibration_std_log=None if std is None else calibration,
-        renders=estimate.renders + pictures.renders_in_all() + len(frames) * len(curves.thetas),
+        blur_px=blur_px,
+        renders=estimate.renders + refined.renders + pictures.renders_in_all() + len(frames) * len(curves.thetas),
     )
 
 

@@ -98,7 +98,7 @@ class Pictures:
         lo, hi = thermal_range([image[valid] for image in images], 0.0)
         scaled = [np.where(valid, (image - lo) / (hi - lo), 0.0).astype(np.float32) for image in images]
         thermal = {f.name: image for f, image in zip(frames, scaled, strict=True)}
-        levels = len(level_weights) + halvings(scene)
+        levels = max(len(level_weights), halvings(scene) + 2)  # two at the coarsest size
         masks = {f.name: _covered(scene, model, f) for f in frames} if comparison.covered else None
         if epsilon is not None:
             given = (epsilon,) * levels
@@ -208,6 +208,20 @@ def significance(differences: NDArray[np.float64]) -> float:
     return math.copysign(math.inf, mean) if mean else 0.0
 
 
+def softness(objective: Objective, indices: Sequence[int], theta: float, counter: Counter) -> float:
+    """Standard deviation, in pixels, of the Gaussian under which a few renders agree best with the thermal images; 0 where none is clearly
+    better than none. A calibration that is wrong looks soft as well."""
+    chosen = indices[:: -(-len(indices) // EPSILON_FRAMES)]
+    counter.plan(len(chosen))
+    losses = []
+    for i in chosen:
+        losses.append(objective.loss_over_blur(i, theta, _BLURS))
+        counter("blur")
+    curves = np.array(losses)
+    best = int(curves.mean(axis=0).argmin())
+    return _BLURS[best] if best and significance(curves[:, 0] - curves[:, best]) >= UNLIKELY else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Refined:
     """A minimum that the search ended in, or left behind.
@@ -290,17 +304,10 @@ class Search:
         A soft edge is as wide as the blur, and where in it a sharp edge lies best depends on what else is near. Beside an equally soft
         one it is well placed again, by half to nine tenths of the error.
         """
-        frames = sorted(self._refined[:: -(-len(self._refined) // EPSILON_FRAMES)])
-        self._counter.plan(len(frames))
-        objective, losses = self._pictures.objective(), []
-        for i in frames:
-            losses.append(objective.loss_over_blur(i, found.place.theta, _BLURS))
-            self._counter("blur")
-        curves = np.array(losses)
-        best = int(curves.mean(axis=0).argmin())
-        if best == 0 or significance(curves[:, 0] - curves[:, best]) < UNLIKELY:
+        blur_px = softness(self._pictures.objective(), self._refined, found.place.theta, self._counter)
+        if blur_px == 0.0:
             return found
-        self._pictures = replace(self._pictures, blur_px=_BLURS[best], renders=self._pictures.renders_in_all())
+        self._pictures = replace(self._pictures, blur_px=blur_px, renders=self._pictures.renders_in_all())
         self._counter.plan(self.refine_renders())
         return replace(found, place=self._descend(found.place.theta, 0))
 
