@@ -15,13 +15,11 @@ import argparse
 import math
 from pathlib import Path
 
-import numpy as np
-
 from rtgs.baselines import OURS
 from rtgs.benchmarks.ablation import ABLATION
 from rtgs.io.capture import load_capture
 from rtgs.pipeline import RunFolder
-from scale_splits import seen_by, told
+from scale_splits import halves, seen_by, told
 
 
 def main() -> None:
@@ -39,9 +37,7 @@ def main() -> None:
         first = first or whole
         apart = []
         for split in range(o.splits):
-            order = np.random.default_rng(split).permutation(len(train))
-            halves = [sorted(order[: len(train) // 2]), sorted(order[len(train) // 2 :])]
-            one, other = (method(seen_by(scene, [train[i] for i in half]), model).sfm_per_metre for half in halves)
+            one, other = (method(seen_by(scene, half), model).sfm_per_metre for half in halves(train, split))
             apart.append(f"{100 * abs(math.log(one / other)):.2f}")
         print(
             f"| {'nothing' if method is OURS else method.title} | {told(whole)} "

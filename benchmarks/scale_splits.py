@@ -29,6 +29,13 @@ def seen_by(scene: Scene, frames: list[Frame]) -> Scene:
     return replace(scene, world_from_rgb={f.name: scene.world_from_rgb[f.name] for f in frames})
 
 
+def halves(frames: list[Frame], split: int) -> tuple[list[Frame], list[Frame]]:
+    """Two random disjoint halves, each in the frames' order."""
+    order = np.random.default_rng(split).permutation(len(frames))
+    first, second = sorted(order[: len(frames) // 2]), sorted(order[len(frames) // 2 :])
+    return [frames[i] for i in first], [frames[i] for i in second]
+
+
 def half_width(estimate: ScaleEstimate) -> float:
     """Of `ci95` in ln s; infinite where there is none."""
     return 0.5 * math.log(estimate.ci95[1] / estimate.ci95[0]) if estimate.ci95 else math.inf
@@ -54,9 +61,7 @@ def main() -> None:
     print(f"All {len(train)} training frames: {told(estimate_scale(scene, model, settings))}.\n", flush=True)
     print("| split | one half | the other | apart | allowed | agree | intervals overlap |\n|---|---|---|---|---|---|---|")
     for split in range(o.splits):
-        order = np.random.default_rng(split).permutation(len(train))
-        halves = [sorted(order[: len(train) // 2]), sorted(order[len(train) // 2 :])]
-        one, other = (estimate_scale(seen_by(scene, [train[i] for i in half]), model, settings) for half in halves)
+        one, other = (estimate_scale(seen_by(scene, half), model, settings) for half in halves(train, split))
         apart = abs(math.log(one.sfm_per_metre / other.sfm_per_metre))
         allowed, together = math.hypot(half_width(one), half_width(other)), half_width(one) + half_width(other)
         print(

@@ -721,10 +721,7 @@ def test_an_epsilon_of_the_size_of_edges_rewards_larger_edges() -> None:
 
 def soft(scene: Scene, sigma: float) -> Scene:
     """The same with thermal images under a Gaussian."""
-    frames = tuple(
-        replace(f, thermal=gaussian_filter(f.thermal, sigma, mode="nearest") if sigma else f.thermal)
-        for f in scene.capture.frames
-    )
+    frames = tuple(replace(f, thermal=gaussian_filter(f.thermal, sigma, mode="nearest")) for f in scene.capture.frames)
     return replace(scene, capture=replace(scene.capture, frames=frames))
 
 
@@ -772,7 +769,6 @@ def test_renders_as_soft_as_the_lens_halve_the_error() -> None:
                     patch.setattr(Search, "as_soft_as_the_lens", lambda _, found: found)
                 found = estimate_scale(soft(scene, 2.0), model, GLOBAL)
             errors[seed, column] = abs(found.sfm_per_metre / 1.3 - 1)
-    print(errors)
     assert errors[:, 0].mean() < 0.6 * errors[:, 1].mean()
 
 

@@ -37,7 +37,7 @@ class Fusion:
     Attributes:
         real2ir: how many times wider the visible camera sees than the thermal image, times the digital zoom in use.
         offset_x, offset_y: where the thermal image's centre lies in the visible picture, from its centre, in its pixels, at the distance
-            focused on. (Found so on sample files by registering edges: to 20 pixels on two cameras.)
+            focused on. (So it is on sample files of two cameras, by registering edges.)
         digital_zoom: the EXIF DigitalZoomRatio, 1 when absent.
     """
 

@@ -20,9 +20,7 @@ _MOST_SETTLINGS = 4
 MODEL_PIXELS = 0.05
 """Edges of a render lie beside those of the photograph, in many frames alike: by how much, as `benchmarks/scale_coverage.py` has it."""
 
-_BLUR_SHARE = (
-    0.1  # of the blur, to which an edge is placed in it where modalities differ (`--table 2`, `benchmarks/scale_coverage.py`)
-)
+_BLUR_SHARE = 0.1  # of the blur, to which an edge is placed in it where modalities differ (chosen on `--table 2`)
 
 
 def model_pixels(blur_px: float, sharp: float = MODEL_PIXELS) -> float:

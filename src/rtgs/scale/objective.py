@@ -84,12 +84,8 @@ class Objective:
             images = [thermal[f.name] for f in frames]
         # A target in float64 keeps 1 − ‖n‖² exact for the fused kernels; the torch path computes in the model's own type.
         self._is_fused = self._dtype == torch.float32 and gaussians.means.device.type == "cpu"
-        self._level_weights, self._epsilons, self._per_edge, self._across = (
-            level_weights,
-            (epsilon, render_epsilon),
-            per_edge,
-            across,
-        )
+        self._level_weights, self._epsilons = level_weights, (epsilon, render_epsilon)
+        self._per_edge, self._across = per_edge, across
         self._images, self._masks = images, [whole] * len(frames)
         if masks is not None:
             self._masks = [downsample_mask(torch.from_numpy(masks[f.name] & valid), reduction) for f in frames]

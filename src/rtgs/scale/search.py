@@ -302,7 +302,7 @@ class Search:
         """Down again from a minimum, with the renders blurred as the thermal images are, as far as that makes them agree.
 
         A soft edge is as wide as the blur, and where in it a sharp edge lies best depends on what else is near. Beside an equally soft
-        one it is well placed again, by half to nine tenths of the error.
+        one it lies better: Table II has less than half the error at 4 px of blur.
         """
         blur_px = softness(self._pictures.objective(), self._refined, found.place.theta, self._counter)
         if blur_px == 0.0:
