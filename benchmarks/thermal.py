@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from rtgs.config import RgbConfig, RunConfig, SfmConfig, SynthConfig, ThermalConfig
+from rtgs.config import DensifyConfig, RgbConfig, RunConfig, SfmConfig, SynthConfig, ThermalConfig
 from rtgs.fit_rgb import fit_rgb
 from rtgs.fit_thermal import fit_thermal
 from rtgs.io.capture import load_capture
@@ -143,11 +143,12 @@ def of_synthetic(args: argparse.Namespace, out: Path) -> Problem:
         scene=args.scene, frames=args.frames, size=args.size, seed=args.seed, netd_c=args.netd_c, sfm_per_metre=2.0
     )
     name = f"{args.scene}-{args.size}-{args.frames}-{args.seed}-{args.netd_c:g}-{args.rgb_steps}"
+    name += f"-{args.gaussians}" if args.gaussians else ""
     folder = RunFolder(out / name)
     if not (folder.path / "rgb.json").exists():
         write_capture(out / f"{name}-capture", config)
         scene = run_sfm(load_capture(out / f"{name}-capture"), SfmConfig())
-        model = fit_rgb(scene, RgbConfig(steps=args.rgb_steps))
+        model = fit_rgb(scene, RgbConfig(steps=args.rgb_steps, densify=DensifyConfig(max_gaussians=args.gaussians)))
         folder.write_config(out / f"{name}-capture", RunConfig())
         folder.write_scene(scene, config.sfm_per_metre)
         folder.write_rgb(model)
@@ -188,6 +189,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--netd-c", type=float, default=0.05)
     parser.add_argument("--rgb-steps", type=int, default=2000)
+    parser.add_argument("--gaussians", type=int, help="budget of the RGB model; by default one for four pixels of an image")
     parser.add_argument("--offset-c", type=float, default=0.0)
     parser.add_argument("--gain", type=float, default=0.0)
     parser.add_argument("--rates", type=listed(float), default=[1e-2, 5e-2])

@@ -9,6 +9,7 @@ import torch
 
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
+from rtgs.image import downsample
 from rtgs.render import LinearRender, LinearViews, RenderSettings, render
 from rtgs.sh import C0
 from test_render import POSE, assert_close, cloud, pinhole
@@ -112,3 +113,16 @@ def test_what_cannot_be_done_is_refused() -> None:
         LinearRender(cloud(3), pinhole(20, 20), POSE, channels=9)
     with pytest.raises(RtgsError, match=r"cuda"):
         LinearRender(cloud(3), pinhole(20, 20), POSE, settings=RenderSettings(backend="cuda"))
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_reduced_is_the_mean_of_blocks(antialiased: bool) -> None:
+    """Much nearer to it than a picture that is merely drawn small; thin Gaussians, where the blur of a pixel matters."""
+    model, camera = cloud(400, size=0.006), pinhole(160, 96)
+    chosen = settings("cpu", antialiased=antialiased)
+    colors = torch.rand(400, 1, generator=torch.Generator().manual_seed(2))
+    whole = downsample(LinearRender(model, camera, POSE, settings=chosen).image(colors), 2)
+    small = LinearRender(model, camera.reduced(2), POSE, settings=chosen, reduced=2).image(colors)
+    plain = LinearRender(model, camera.reduced(2), POSE, settings=chosen).image(colors)
+    assert (small - whole).norm() < 0.15 * whole.norm()
+    assert (small - whole).norm() < 0.5 * (plain - whole).norm()

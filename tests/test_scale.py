@@ -30,7 +30,7 @@ from rtgs.scale.calibration import calibration_std_log, freedoms
 from rtgs.scale.descend import descend
 from rtgs.scale.interval import LocalCurves, bootstrap, curve_minima, curve_minimum, hermite, interval, widened
 from rtgs.scale.noise import mean_gradients, model_error
-from rtgs.scale.objective import Evaluation, reduced
+from rtgs.scale.objective import Evaluation
 from rtgs.scale.records import Counter, History, Scan
 from rtgs.scale.search import Pictures, Search, halvings, scan_thetas
 from rtgs.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
@@ -225,7 +225,7 @@ def test_a_reduced_objective_compares_pictures_drawn_small() -> None:
         scene, model.gaussians, model.background, model.settings, scene.train_frames[:2],
         level_weights=(1.0,), epsilon=0.05, reduction=3,
     )  # fmt: skip
-    camera = reduced(RIG.thermal, 3)
+    camera = RIG.thermal.reduced(3)
     assert (camera.width, camera.height) == (18, 14) and small.gray(0, torch.tensor(0.0)).shape == (14, 18)
     # 56 = 3 · 18 + 2: the focal length is a third all the same, and a ray keeps its block.
     assert camera.fl_x == RIG.thermal.fl_x / 3 and camera.cy == RIG.thermal.cy / 3

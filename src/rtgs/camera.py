@@ -75,6 +75,11 @@ class Camera:
             self, width=width, height=height, fl_x=self.fl_x * sx, fl_y=self.fl_y * sy, cx=self.cx * sx, cy=self.cy * sy
         )
 
+    def reduced(self, factor: int) -> Camera:
+        """The camera of `image.downsample(picture, factor)`: whole blocks only, so its size may round down but its focal length not."""
+        parameters = {k: getattr(self, k) / factor for k in ("fl_x", "fl_y", "cx", "cy")}
+        return replace(self, width=self.width // factor, height=self.height // factor, **parameters)
+
 
 @dataclass(frozen=True, eq=False)
 class Undistortion:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs import sh
@@ -31,14 +32,24 @@ class Design:
         gaussians: colours are not looked at.
         poses: camera_from_world, one a frame.
         degree: highest band of the harmonics.
+        reduced: see `LinearRender`.
     """
 
-    def __init__(self, gaussians: Gaussians, camera: Camera, poses: Sequence[SE3], degree: int, settings: RenderSettings) -> None:
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        poses: Sequence[SE3],
+        degree: int,
+        settings: RenderSettings,
+        reduced: int = 1,
+    ) -> None:
         self.gaussians, self.coefficients = len(gaussians), sh.coefficients(degree)
         self.size = self.gaussians * self.coefficients + 1
         self._means = np.ascontiguousarray(gaussians.means.detach().numpy(), dtype=np.float32)
         self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
-        self._views = LinearViews(gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES)
+        self._visible: dict[int, NDArray[np.bool_]] = {}  # by frame; views may not be kept
+        self._views = LinearViews(gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES, reduced=reduced)
 
     def __len__(self) -> int:
         """How many frames."""
@@ -50,9 +61,9 @@ class Design:
 
     def image(self, frame: int, x: Tensor) -> Tensor:
         """`[h, w, C]`."""
-        colors = np.empty((self.gaussians, x.shape[1]), np.float32)
-        harmonics.colors_of(self._means, self._centres[frame], self.harmonics(x).numpy(), colors)
-        return self._views[frame].image(torch.from_numpy(colors), x[-1])
+        view, colors = self._views[frame], np.empty((self.gaussians, x.shape[1]), np.float32)
+        harmonics.colors_of(self._means, self._centres[frame], view.visible, self.harmonics(x).numpy(), colors)
+        return view.image(torch.from_numpy(colors), x[-1])
 
     def add_transpose(self, frame: int, image: Tensor, out: Tensor) -> None:
         """out `[D, C]` += transpose · image `[h, w, C]`."""
@@ -62,11 +73,13 @@ class Design:
 
     def weights(self, frame: int, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` and the background's part `[C]`, without harmonics."""
-        return self._views[frame].adjoint(image)
+        view = self._views[frame]
+        self._visible[frame] = view.visible
+        return view.adjoint(image)
 
     def add_harmonics(self, frame: int, colors: Tensor, out: Tensor) -> None:
-        """out `[N, K, C]` += basis ⊗ colors `[N, C]`."""
-        harmonics.add_transpose(self._means, self._centres[frame], colors.numpy(), out.numpy())
+        """out `[N, K, C]` += basis ⊗ colors `[N, C]`, of the frame's `weights`."""
+        harmonics.add_transpose(self._means, self._centres[frame], self._visible[frame], colors.numpy(), out.numpy())
 
     def add_blocks(self, frame: int, weights: Tensor, out: Tensor) -> None:
         """out `[N, K, K]` += weights `[N]` · basis ⊗ basis."""

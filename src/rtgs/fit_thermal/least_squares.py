@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -23,7 +23,7 @@ class Problem:
         frames: indices of those that count.
         images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
         offsets: `[C]`, 1 for a problem in which each frame has an offset of its own, 0 where they are 0; None: 0 everywhere.
-        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none. Only where C is 1.
+        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none. Only where `offsets` are all alike.
         ridge, prior: `[D, C]`.
         inverses, background: the preconditioner (see `preconditioner`).
     """
@@ -79,7 +79,8 @@ class Problem:
                 yield image, self._weighted(f, image)
             return
         kept = [(image, self._weighted(f, image)) for f, image in zip(self.frames, images, strict=True)]
-        right = sum((torch.einsum("hwb,hwc->bc", self.surface, w) for _, w in kept), torch.zeros(self.surface.shape[2], 1))
+        zero = torch.zeros(self.surface.shape[2], self.ridge.shape[1])
+        right = sum((torch.einsum("hwb,hwc->bc", self.surface, w) for _, w in kept), zero)
         common = self.surface @ (self._surfaces @ right)
         for f, (image, weighted) in zip(self.frames, kept, strict=True):
             yield image, weighted - self._weighted(f, common)
@@ -89,7 +90,8 @@ class Problem:
         """`[B, B]`: inverse of the normal matrix of the surface alone."""
         assert self.surface is not None
         surface = self.surface
-        products = [torch.einsum("hwb,hwc->bc", surface, self._weighted(f, surface)) for f in self.frames]
+        alone = self if self.offsets is None else replace(self, offsets=self.offsets[:1])
+        products = [torch.einsum("hwb,hwc->bc", surface, alone._weighted(f, surface)) for f in self.frames]
         return torch.linalg.pinv(torch.stack(products).sum(0), hermitian=True)
 
     def _weighted(self, frame: int, image: Tensor) -> Tensor:

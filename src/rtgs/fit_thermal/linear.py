@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from rtgs import sh
+from rtgs.camera import Camera
 from rtgs.config import ThermalConfig
 from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
@@ -47,6 +48,8 @@ DRIFT_ITERATIONS = 4
 ITERATIONS = 60
 TOLERANCE = 5e-3
 USUAL_PASSES = 22
+LAST_ITERATIONS = 3  # at full size, beyond what validation frames found to be enough
+FEWEST_PIXELS = 128  # on the shorter side of a reduced photograph
 
 
 class Passes:
@@ -63,6 +66,11 @@ class Passes:
     def finish(self) -> None:
         if self._progress is not None:
             self._progress(self.total, self.total, self.text)
+
+
+def reductions(camera: Camera) -> tuple[int, ...]:
+    """By what the photographs are reduced in turn; 1 is the last."""
+    return (2, 1) if min(camera.width, camera.height) >= 2 * FEWEST_PIXELS else (1,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +124,10 @@ class Fit:
     median: float
     each: Callable[[], None]
 
+    @staticmethod
+    def of(design: Design, data: ThermalFrames, median: float, each: Callable[[], None] = lambda: None) -> Fit:
+        return Fit(design, data, gather(design, data, each), median, each)
+
     @property
     def everywhere(self) -> list[Tensor]:
         """The weights of all frames before any is doubted: 1 where valid."""
@@ -156,11 +168,20 @@ class Fit:
             self.each()
         return out
 
-    def error(self, kind: Kind, frame: int, image: Tensor) -> float:
-        """Σ |photograph − what the frame shows of the image|, with the gain and offset that suit it best."""
-        weights, photograph = self.data.valid, self.data.images[frame]
-        shown = estimate(kind, self.median, [image], [photograph], [weights]).of(0, image)
-        return float((weights * (photograph - shown).abs()).sum())
+    def errors(self, kind: Kind, frames: Sequence[int], images: Sequence[Tensor], surface: Tensor | None = None) -> Tensor:
+        """`[F]`: Σ |photograph − what the frame shows of the image|, with the gain and offset that suit it best.
+
+        Args:
+            surface: what suits all these frames best of it is taken out besides.
+        """
+        valid, photographs = self.data.valid, [self.data.images[f] for f in frames]
+        drift = estimate(kind, self.median, images, photographs, [valid] * len(frames))
+        left = torch.stack([y - drift.of(f, image) for f, (y, image) in enumerate(zip(photographs, images, strict=True))])
+        if surface is not None:
+            normal = torch.einsum("hwb,hwc,hw->bc", surface, surface, valid)
+            right = torch.einsum("hwb,hw->b", surface, valid * left.mean(0))
+            left = left - surface @ (torch.linalg.pinv(normal, hermitian=True) @ right)
+        return (valid * left.abs()).sum((1, 2))
 
     def drift(self, kind: Kind, images: Sequence[Tensor], weights: Sequence[Tensor]) -> tuple[Drift, list[Tensor]]:
         """The frames' gains and offsets at given images, and what is left of the photographs `[h, w]`."""
@@ -189,33 +210,51 @@ class Fit:
 def fit_linear(
     scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
-    """See `fit_thermal`."""
+    """See `fit_thermal`. Everything is decided, and nearly everything solved, on reduced photographs."""
     span = color_range(scene)
     data = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
-    design = Design(rgb_model.gaussians.detach(), scene.rig.thermal, data.poses, config.sh_degree, rgb_model.settings)
-    passes = Passes(len(data) * USUAL_PASSES, progress)
     median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
-    fit = Fit(design, data, gather(design, data, passes), median, passes)
+    levels = reductions(scene.rig.thermal)
+    passes = Passes(len(data) * USUAL_PASSES, progress)
+
+    def design(reduced: int) -> Design:
+        camera = scene.rig.thermal.reduced(reduced)
+        return Design(rgb_model.gaussians.detach(), camera, data.poses, config.sh_degree, rgb_model.settings, reduced)
+
+    fit = Fit.of(design(levels[0]), data.reduced(levels[0]), median, passes)
     validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
-    tried = choose_ridge(fit, validation, fit.evidence.prior[:, None], aside=config.drift == "auto")
-    kind = config.drift
+    start = fit.evidence.prior[:, None]
+    tried = choose_ridge(fit, validation, start, aside=config.drift == "auto")
     looks_drifting = Judge(fit, validation).is_worth_a_look(tried.shown)
+    kind, x = config.drift, tried.x
     if kind == "auto":
-        kind, tried = choose_offsets(fit, validation, tried) if looks_drifting else ("off", tried)
-    elif kind != "off":
-        tried = choose_ridge(fit, validation, tried.x, fit.gauged(kind, fit.images(tried.x)))
-    images = fit.images(tried.x)
+        kind, x = choose_offsets(fit, validation, tried) if looks_drifting else ("off", x)
+    images = fit.images(x)
     pattern = choose_pattern(fit, validation, kind, images)
     clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
+    if kind != "off" or pattern is not None:  # the ridge no longer has to stand up to them
+        if pattern is not None:  # x has taken vignetting in, which it would be slow to give back
+            x = start
+        tried = choose_ridge(clean, validation, x, clean.gauged(kind, images), surface)
+        images = fit.images(tried.x)
     if config.drift == "auto" and looks_drifting:
         kind, tried, images = choose_gains(clean, validation, kind, tried, images, surface)
-    x, images, drift, history = reweighted(clean, tried.factor, kind, tried.x, images, passes, surface)
+    x = tried.x
+    for level in levels:
+        if level != levels[0]:
+            fit = clean = replace(fit, design=design(level), data=data.reduced(level))
+            images = fit.images(x)
+        if pattern is not None:  # of images that no longer have a part in it
+            pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
+        clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
+        iterations = (tried.iterations if level == levels[0] else 0) + (LAST_ITERATIONS if level == 1 else 0)
+        x, images, drift, history = reweighted(clean, tried.factor, iterations, kind, x, images, passes, surface)
     if pattern is not None:
         pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
     drift, gain, offset = in_gauge(drift)
-    x = moved(design, x, gain, median * (1.0 - gain) + offset)
+    x = moved(fit.design, x, gain, median * (1.0 - gain) + offset)
     passes.finish()
-    model = as_model(x, design, rgb_model, training_range(scene), span, sfm_per_metre, history)
+    model = as_model(x, fit.design, rgb_model, training_range(scene), span, sfm_per_metre, history)
     if pattern is not None:
         model = replace(model, pattern=pattern.numpy() * np.float32(span.linear.width))
     return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
@@ -227,12 +266,14 @@ class Tried:
 
     Attributes:
         factor: with the smallest error.
+        iterations: that were enough for it.
         x: `[D, 1]` under it, fitted to the other frames.
         shown: `[h, w]` of each validation frame.
         with_offsets: the pair (x, shown) with an offset of its own for each frame, under the usual ridge; without: the same without.
     """
 
     factor: float
+    iterations: int
     x: Tensor
     shown: Sequence[Tensor]
     with_offsets: tuple[Tensor, Sequence[Tensor]] | None = None
@@ -240,7 +281,13 @@ class Tried:
 
 
 def choose_ridge(
-    fit: Fit, validation: Sequence[int], start: Tensor, drift: tuple[Kind, Drift] | None = None, *, aside: bool = False
+    fit: Fit,
+    validation: Sequence[int],
+    start: Tensor,
+    drift: tuple[Kind, Drift] | None = None,
+    surface: Tensor | None = None,
+    *,
+    aside: bool = False,
 ) -> Tried:
     """The factor with the smallest mean absolute error on frames that the fit did not see.
 
@@ -250,7 +297,7 @@ def choose_ridge(
         aside: also solve with offsets, side by side with the ridges, which costs a tenth of what it would cost by itself.
     """
     if not validation:
-        return Tried(DEFAULT_FACTOR, start, [])
+        return Tried(DEFAULT_FACTOR, ITERATIONS, start, [])
     rest = [f for f in range(len(fit.data)) if f not in validation]
     count, best = len(RIDGE_FACTORS), [math.inf] * SETTLED_AFTER
     factors = (*RIDGE_FACTORS, DEFAULT_FACTOR) if aside else RIDGE_FACTORS
@@ -259,26 +306,26 @@ def choose_ridge(
     shown: dict[int, Tensor] = {}
 
     def settled(x: Tensor) -> bool:
-        errors.zero_()
         for f in validation:
             shown[f] = fit.design.image(f, x)
-            for c in range(count):
-                errors[c] += fit.error(kind, f, shown[f][..., c])
             fit.each()
+        for c in range(count):
+            errors[c] = fit.errors(kind, validation, [shown[f][..., c] for f in validation], surface).sum()
         best.append(float(errors.min()))
         return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - SETTLED_AFTER]
 
-    problem = fit.problem(factors, rest, drift=drift, offsets=offsets)
-    x = solve(problem, start.expand(-1, len(factors)), iterations=ITERATIONS, settled=settled, each=fit.each).x
+    problem = fit.problem(factors, rest, drift=drift, offsets=offsets, surface=surface)
+    solution = solve(problem, start.expand(-1, len(factors)), iterations=ITERATIONS, settled=settled, each=fit.each)
+    x, done = solution.x, solution.iterations
 
     def column(c: int) -> tuple[Tensor, list[Tensor]]:
         return x[:, c : c + 1].clone(), [shown[f][..., c] for f in validation]
 
     chosen = int(errors.argmin())
     if not aside:
-        return Tried(RIDGE_FACTORS[chosen], *column(chosen))
+        return Tried(RIDGE_FACTORS[chosen], done, *column(chosen))
     usual = RIDGE_FACTORS.index(DEFAULT_FACTOR)
-    return Tried(RIDGE_FACTORS[chosen], *column(chosen), column(count), column(usual))
+    return Tried(RIDGE_FACTORS[chosen], done, *column(chosen), column(count), column(usual))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,6 +340,7 @@ class Judge:
 
     fit: Fit
     validation: Sequence[int]
+    surface: Tensor | None = None
 
     @property
     def rest(self) -> list[int]:
@@ -302,13 +350,13 @@ class Judge:
         return [images[f] for f in self.validation]
 
     def errors(self, kind: Kind, shown: Sequence[Tensor]) -> Tensor:
-        return torch.tensor([self.fit.error(kind, f, image) for f, image in zip(self.validation, shown, strict=True)])
+        return self.fit.errors(kind, self.validation, shown, self.surface)
 
-    def is_worth_a_look(self, shown: Sequence[Tensor]) -> bool:
-        """Whether enough of the error goes with gains and offsets of the validation frames' own."""
+    def is_worth_a_look(self, shown: Sequence[Tensor], kind: Kind = "off") -> bool:
+        """Whether enough of the error that `kind` leaves goes with gains and offsets of the validation frames' own."""
         if len(self.validation) < DRIFT_FRAMES:
             return False
-        return float(self.errors("gain-offset", shown).sum()) <= (1.0 - DRIFT_SHARE) * float(self.errors("off", shown).sum())
+        return float(self.errors("gain-offset", shown).sum()) <= (1.0 - DRIFT_SHARE) * float(self.errors(kind, shown).sum())
 
     def level(self, kind: Kind, images: Sequence[Tensor]) -> float:
         """Error of the validation frames with the drift that the other frames let expect, of images of all frames."""
@@ -328,18 +376,16 @@ class Judge:
         return float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(self.validation) ** 0.5)
 
 
-def choose_offsets(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tried]:
-    """Whether frames have an offset of their own; and the ridge and the unknowns to go on from."""
+def choose_offsets(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tensor]:
+    """Whether frames have an offset of their own; and the unknowns that go with the answer."""
     judge = Judge(fit, validation)
     if tried.with_offsets is None or tried.without is None:
-        return "off", tried
+        return "off", tried.x
     images = fit.images(tried.with_offsets[0])
     if judge.level("offset", images) > LEVEL_LOSS * float(judge.errors("off", tried.shown).sum()):
-        return "off", tried
-    if not judge.is_better("offset", tried.without[1], tried.with_offsets[1]):
-        return "off", tried
-    # And the ridge no longer has to stand up to drift.
-    return "offset", choose_ridge(fit, validation, tried.with_offsets[0], fit.gauged("offset", images))
+        return "off", tried.x
+    better = judge.is_better("offset", tried.without[1], tried.with_offsets[1])
+    return ("offset", tried.with_offsets[0]) if better else ("off", tried.x)
 
 
 def choose_gains(
@@ -350,31 +396,26 @@ def choose_gains(
     Args:
         images: of all frames, by `tried`. surface: see `Problem`.
     """
-    judge = Judge(fit, validation)
+    judge = Judge(fit, validation, surface)
+    if not judge.is_worth_a_look(judge.of_validation(images), kind):
+        return kind, tried, images
 
-    def further(
-        kind: Kind, x: Tensor, images: list[Tensor], iterations: int, tolerance: float = 0.0
-    ) -> tuple[Tensor, list[Tensor]]:
-        turns = 2 if kind == "gain-offset" else 1  # gains alternate, offsets are eliminated
+    def further(kind: Kind, turns: int) -> tuple[Tensor, list[Tensor]]:
+        x, now = tried.x, images
         for _ in range(turns):
-            problem = fit.problem((tried.factor,), judge.rest, drift=fit.gauged(kind, images), surface=surface)
-            shown = [i[..., None] for i in images]
-            x = solve(problem, x, iterations=iterations // turns, tolerance=tolerance, shown=shown, each=fit.each).x
-            images = fit.images(x)
-        return x, images
+            problem = fit.problem((tried.factor,), judge.rest, drift=fit.gauged(kind, now), surface=surface)
+            shown = [i[..., None] for i in now]
+            x = solve(problem, x, iterations=DRIFT_ITERATIONS // turns, shown=shown, each=fit.each).x
+            now = fit.images(x)
+        return x, now
 
-    if surface is not None:  # what the scene had taken of the vignetting it first has to give back
-        x, images = further(kind, tried.x, images, ITERATIONS, TOLERANCE)
-        tried = replace(tried, x=x)
-    before = further(kind, tried.x, images, DRIFT_ITERATIONS)[1]
-    gained, after = further("gain-offset", tried.x, images, DRIFT_ITERATIONS)
+    before = further(kind, 1)[1]
+    x, after = further("gain-offset", 2)  # gains alternate, offsets are eliminated
     if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
         return kind, tried, images
     if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
         return kind, tried, images
-    if surface is not None:  # ridges side by side know no surface, and would give what it has become back to the scene
-        return "gain-offset", replace(tried, x=gained), after
-    tried = choose_ridge(fit, validation, gained, fit.gauged("gain-offset", after))
+    tried = choose_ridge(fit, validation, x, fit.gauged("gain-offset", after), surface)
     return "gain-offset", tried, fit.images(tried.x)
 
 
@@ -399,6 +440,7 @@ def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequ
 def reweighted(
     fit: Fit,
     factor: float,
+    iterations: int,
     kind: Kind,
     start: Tensor,
     images: list[Tensor],
@@ -406,6 +448,8 @@ def reweighted(
     surface: Tensor | None = None,
 ) -> tuple[Tensor, list[Tensor], Drift, dict[str, list[float]]]:
     """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]` and its images.
+
+    Iterations are few on purpose: what conjugate gradients find late is what fits the noise.
 
     Returns:
         Unknowns, their images and drift, before the gauge is fixed; the history.
@@ -424,7 +468,7 @@ def reweighted(
         weights = [valid * (HUBER * rms / r.abs().clamp_min(1e-12)).clamp_max(1.0) for r in left]
         problem = fit.problem((factor,), range(len(left)), weights=weights, drift=(kind, in_gauge(drift)[0]), surface=surface)
         shown = [i[..., None] for i in images]
-        solution = solve(problem, x, iterations=ITERATIONS, tolerance=TOLERANCE, shown=shown, each=passes)
+        solution = solve(problem, x, iterations=iterations, tolerance=TOLERANCE, shown=shown, each=passes)
         x, steps = solution.x, steps + solution.iterations
         images = [i[..., 0] for i in solution.shown or ()]
         passes.text = f"residual {rms:.4f}"

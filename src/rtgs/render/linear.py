@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.camera import Camera
@@ -32,6 +33,8 @@ class LinearRender:
         gaussians: geometry and opacity; its colours are not looked at.
         channels: C of the colours that will be given, at most; checked here rather than in the middle of long work.
         settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
+        reduced: each pixel stands for the mean of so many squared of the picture that is meant (`Camera.reduced`); drawn at once, which
+            is not quite that mean. "cpu" only.
 
     Raises:
         RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end.
@@ -45,6 +48,7 @@ class LinearRender:
         *,
         channels: int = 1,
         settings: RenderSettings | None = None,
+        reduced: int = 1,
     ) -> None:
         settings = settings or RenderSettings()
         check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
@@ -52,10 +56,13 @@ class LinearRender:
             raise RtgsError('render: the "cuda" back end has no linear map; use "cpu".')
         self.channels, self.shape = channels, (camera.height, camera.width)
         self.gaussians = len(gaussians)
-        self._backend: _Cpu | _Reference = (_Cpu if settings.backend == "cpu" else _Reference)(
-            gaussians, camera, camera_from_world, channels, settings
+        self._backend: _Cpu | _Reference = (
+            _Cpu(gaussians, camera, camera_from_world, channels, settings, reduced)
+            if settings.backend == "cpu"
+            else _Reference(gaussians, camera, camera_from_world, channels, settings)
         )
         self.alpha: Tensor = self._backend.alpha
+        self.visible: NDArray[np.bool_] = self._backend.visible  # of the N; the others' colours are not looked at
 
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
@@ -90,8 +97,9 @@ class LinearViews(Sequence[LinearRender]):
         channels: int = 1,
         settings: RenderSettings | None = None,
         budget_bytes: int = 2 << 30,
+        reduced: int = 1,
     ) -> None:
-        self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings)
+        self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings, reduced=reduced)
         self._poses = list(camera_from_world)
         self._kept: dict[int, LinearRender] = {}
         self._left = budget_bytes
@@ -112,7 +120,13 @@ class LinearViews(Sequence[LinearRender]):
 
 class _Cpu:
     def __init__(
-        self, gaussians: Gaussians, camera: Camera, camera_from_world: SE3, channels: int, settings: RenderSettings
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        camera_from_world: SE3,
+        channels: int,
+        settings: RenderSettings,
+        reduced: int,
     ) -> None:
         cpu.check_channels(channels)
         model = tuple(
@@ -122,9 +136,10 @@ class _Cpu:
         matrix = camera_from_world.matrix()
         pose = (np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]))
         nothing, black = np.empty((0, 2), np.float32), np.zeros((len(gaussians), channels), np.float32)
-        self._splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased)  # type: ignore[arg-type]
+        self._splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased, reduced)  # type: ignore[arg-type]
         _, alpha, self._used = self._splats.blend()
         self.alpha = torch.from_numpy(alpha)
+        self.visible = self._splats.tiles > 0
 
     def image(self, colors: Tensor) -> Tensor:
         splats = replace(self._splats, channels=colors.shape[1])
@@ -136,7 +151,7 @@ class _Cpu:
 
     @property
     def nbytes(self) -> int:
-        return self._splats.nbytes + self.alpha.nbytes
+        return self._splats.nbytes + self.alpha.nbytes + self.visible.nbytes
 
 
 class _Reference:
@@ -162,6 +177,7 @@ class _Reference:
 
         self._draw = draw
         self.alpha = draw(self._colors)[1]
+        self.visible = np.ones(len(frozen), np.bool_)
 
     def image(self, colors: Tensor) -> Tensor:
         return self._draw(colors.detach())[0]

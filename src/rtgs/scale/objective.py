@@ -72,7 +72,7 @@ class Objective:
         self._background = to_gray(background).to(self._dtype)
         self._settings = replace(settings, with_depth=False, channel_weights=GRAY_WEIGHTS)
         self._reduction, self._sigma = reduction, blur_px / reduction
-        self._camera: Camera = reduced(scene.rig.thermal, reduction)
+        self._camera: Camera = scene.rig.thermal.reduced(reduction)
         self._rgb_from_thermal = scene.rig.rgb_from_thermal.to_torch(torch.float64)
         self._world_from_rgb = [scene.world_from_rgb_at_thermal(f.name).to_torch(torch.float64) for f in frames]
         valid = scene.capture.thermal_mask
@@ -200,7 +200,7 @@ class Objective:
         lens = ("fl_x", "fl_y", "cx", "cy")
         small = [replace(way, **{k: getattr(way, k) / self._reduction for k in lens}) for way in ways]
         pose = camera_from_world.to_torch(torch.float64)
-        camera = reduced(camera, self._reduction)
+        camera = camera.reduced(self._reduction)
         gray, rates = self._drawn(camera, pose, small)
         if self._is_fused:
             return self._fused_ngf(index).products(gray.numpy(), np.ascontiguousarray(rates.numpy()))
@@ -242,12 +242,6 @@ def along(function: Callable[[Tensor], Tensor], at: Tensor, way: Tensor) -> tupl
     """The function at a point, and its derivative along one way."""
     value, rate = torch.func.jvp(function, (at,), (way,))  # type: ignore[misc]
     return value, rate
-
-
-def reduced(camera: Camera, factor: int) -> Camera:
-    """The camera of `image.downsample(picture, factor)`: whole blocks only, so its size may round down but its focal length not."""
-    parameters = {k: getattr(camera, k) / factor for k in ("fl_x", "fl_y", "cx", "cy")}
-    return replace(camera, width=camera.width // factor, height=camera.height // factor, **parameters)
 
 
 def thermal_range(images: Sequence[np.ndarray], percentile: float) -> tuple[float, float]:

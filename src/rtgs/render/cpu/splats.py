@@ -14,6 +14,7 @@ from rtgs.render.cpu import projection, tiles
 from rtgs.render.cpu.blend import blend, blend_adjoint, blend_backward
 from rtgs.render.cpu.layout import CHUNKS, COLORS, G_COLORS, SPLAT, tile_side
 from rtgs.render.cpu.simd import LANES
+from rtgs.render.settings import COVARIANCE_BLUR_PX2
 
 Model = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 """means `[N, 3]`, quats `[N, 4]`, log_scales `[N, 3]`, opacity_logits `[N]`."""
@@ -26,6 +27,14 @@ def _rows_of_slots(rows: int, numbers: int) -> NDArray[np.float32]:
     slots = np.empty(rows * width + LANES, np.float32)  # the last row is read a register at a time
     slots[: max(width, LANES)] = 0.0
     return slots
+
+
+@nb.njit(cache=True)
+def _set_colors(tiles: NDArray[np.int32], colors: NDArray[np.float32], rows: NDArray[np.float32]) -> None:
+    for i in range(len(tiles)):
+        if tiles[i] > 0:
+            for c in range(colors.shape[1]):
+                rows[i * SPLAT + COLORS + c] = colors[i, c]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +72,20 @@ class Splats:
         pose: Pose,
         near_plane: float,
         antialiased: bool,
+        reduced: int = 1,
     ) -> Splats:
-        """Project and sort. `offsets` `[N, 2]` or `[0, 2]` are added to the pixel centres; colors `[N, C]`."""
+        """Project and sort. `offsets` `[N, 2]` or `[0, 2]` are added to the pixel centres; colors `[N, C]`.
+
+        Args:
+            reduced: each pixel of `camera` stands for the mean of so many squared. Splats are as wide as in these, and a box wider.
+        """
         n, side = len(colors), tile_side(camera.width, camera.height)
         view = (np.array([camera.fl_x, camera.fl_y, camera.cx, camera.cy]), np.array([camera.width, camera.height], np.float64))
         rows, depths = np.empty(n * SPLAT, np.float32), np.empty(n, np.float32)
         counts, boxes = np.empty(n, np.int32), np.empty((n, 4), np.int16)
-        arguments: list[Any] = [*model, offsets, colors, *pose, *view, side, float(near_plane), antialiased]
+        arguments: list[Any] = [*model, offsets, colors, *pose, *view, side, float(near_plane)]
+        blur = (COVARIANCE_BLUR_PX2 + (reduced**2 - 1) / 12) / reduced**2
+        arguments += [blur, 0.0 if antialiased else COVARIANCE_BLUR_PX2 / reduced**2]
         arguments += [rows, depths, boxes, counts]
         projection.project(*arguments)
         order, pair_starts = tiles.depth_order(depths.view(np.uint32), counts)
@@ -98,7 +114,7 @@ class Splats:
 
     def set_colors(self, colors: NDArray[np.float32]) -> None:
         """Exchange the colours `[N, C]`."""
-        self.rows.reshape(-1, SPLAT)[:, COLORS : COLORS + self.channels] = colors
+        _set_colors(self.tiles, np.ascontiguousarray(colors, dtype=np.float32), self.rows)
 
     @property
     def nbytes(self) -> int:
