@@ -18,7 +18,7 @@ from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, estimate, in_gauge
 from rtgs.fit_thermal.frames import ThermalFrames
 from rtgs.fit_thermal.least_squares import solve
-from rtgs.fit_thermal.linear import DEFAULT_FACTOR, Fit, as_model, gather, ridge
+from rtgs.fit_thermal.linear import DEFAULT_FACTOR, Fit, as_model, ridge
 from rtgs.geometry import look_at
 from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.radiometry import LinearRange
@@ -51,7 +51,7 @@ def fitted() -> ThermalModel:
 def least_squares(scene: Scene, rgb: RgbModel, degree: int = 1) -> Fit:
     data = ThermalFrames.of(scene, scene.train_frames, SFM_PER_METRE, training_range(scene))
     design = Design(rgb.gaussians, RIG.thermal, data.poses, degree, rgb.settings)
-    return Fit(design, data, gather(design, data), 0.3, lambda: None)
+    return Fit.of(design, data, 0.3)
 
 
 def changed(scene: Scene, change: Callable[[int, np.ndarray], np.ndarray]) -> Scene:
@@ -177,20 +177,33 @@ def test_ridges_with_a_common_surface_go_side_by_side(offsets: bool) -> None:
         torch.testing.assert_close(found[:, c : c + 1], alone.gradient(alone.prior)[0], atol=1e-3, rtol=1e-4)
 
 
+def test_what_a_surface_can_explain_is_no_error() -> None:
+    """Whatever vignetting photographs have in common, the errors by which a ridge is chosen are the same; without the surface not."""
+    scene, rgb, _ = ring()
+    fit, frames = least_squares(scene, rgb), [1, 4, 7]
+    surface, images = fit.surface(), [0.9 * fit.data.images[f] for f in frames]
+    vignetting = surface @ torch.tensor([0.1, -0.2, 0.3, 0.2, -0.1])
+    bent = fit.without(-vignetting)
+    for kind in ("off", "offset"):
+        was = fit.errors(kind, frames, images, surface)  # type: ignore[arg-type]
+        torch.testing.assert_close(bent.errors(kind, frames, images, surface), was, rtol=1e-3, atol=0)  # type: ignore[arg-type]
+        assert (bent.errors(kind, frames, images) > 1.2 * fit.errors(kind, frames, images)).all()  # type: ignore[arg-type]
+
+
 def test_half_the_size_first_leads_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is decided and mostly solved on reduced photographs ends where the whole ones lead; drift and vignetting go with it."""
     scene, rgb, _ = ring()
     vignetting = 1.5 * np.linspace(-1, 1, RIG.thermal.width) ** 2 + np.zeros((RIG.thermal.height, 1))
     capture = changed(scene, lambda i, t: t + vignetting + 0.8 * math.sin(0.4 * i))
     linear = importlib.import_module("rtgs.fit_thermal.linear")
-    assert linear.reductions(RIG.thermal) == (1,)
+    assert linear.reductions(RIG.thermal, rgb.settings) == (1,)
     errors = []
     for fewest in (1000, 15):
         monkeypatch.setattr(linear, "FEWEST_PIXELS", fewest)
         model = fit_thermal(capture, rgb, SFM_PER_METRE, ThermalConfig(drift="offset"))
         assert model.pattern is not None
         errors.append(_differences(model, scene))
-    assert linear.reductions(RIG.thermal) == (2, 1)
+    assert linear.reductions(RIG.thermal, rgb.settings) == (2, 1)
     # Of photographs of 18 × 15 pixels, and three iterations on whole ones.
     assert errors[1] < 2.5 * errors[0] and errors[1] < 0.1
 

@@ -25,6 +25,7 @@ from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
 from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
+from rtgs.render import RenderSettings
 from rtgs.scene import Scene
 from rtgs.sensor import quadratic_terms, sensor_pattern
 
@@ -68,9 +69,10 @@ class Passes:
             self._progress(self.total, self.total, self.text)
 
 
-def reductions(camera: Camera) -> tuple[int, ...]:
+def reductions(camera: Camera, settings: RenderSettings) -> tuple[int, ...]:
     """By what the photographs are reduced in turn; 1 is the last."""
-    return (2, 1) if min(camera.width, camera.height) >= 2 * FEWEST_PIXELS else (1,)
+    large = min(camera.width, camera.height) >= 2 * FEWEST_PIXELS
+    return (2, 1) if large and settings.backend == "cpu" else (1,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +216,7 @@ def fit_linear(
     span = color_range(scene)
     data = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
     median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
-    levels = reductions(scene.rig.thermal)
+    levels = reductions(scene.rig.thermal, rgb_model.settings)
     passes = Passes(len(data) * USUAL_PASSES, progress)
 
     def design(reduced: int) -> Design:

@@ -37,7 +37,8 @@ class LinearRender:
             is not quite that mean. "cpu" only.
 
     Raises:
-        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end.
+        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end;
+            `reduced` with "reference".
     """
 
     def __init__(
@@ -54,6 +55,8 @@ class LinearRender:
         check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
         if settings.backend == "cuda":
             raise RtgsError('render: the "cuda" back end has no linear map; use "cpu".')
+        if reduced != 1 and settings.backend != "cpu":
+            raise RtgsError(f'render: the "{settings.backend}" back end draws no reduced pictures; use "cpu".')
         self.channels, self.shape = channels, (camera.height, camera.width)
         self.gaussians = len(gaussians)
         self._backend: _Cpu | _Reference = (
