@@ -22,7 +22,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import LinearViews, RenderSettings
 
-VIEWS_BYTES = 2 << 30  # kept splats of all views; the others are projected again at each use
+VIEWS_BYTES = 2 << 30  # kept weights or splats of all views; the others are projected again at each use
 
 
 class Design:
@@ -48,8 +48,10 @@ class Design:
         self.size = self.gaussians * self.coefficients + 1
         self._means = np.ascontiguousarray(gaussians.means.detach().numpy(), dtype=np.float32)
         self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
-        self._visible: dict[int, NDArray[np.bool_]] = {}  # by frame; views may not be kept
-        self._views = LinearViews(gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES, reduced=reduced)
+        self._visible: dict[int, NDArray[np.int32]] = {}  # by frame; views may not be kept
+        self._views = LinearViews(
+            gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES, keep_weights=True, reduced=reduced
+        )
 
     def __len__(self) -> int:
         """How many frames."""

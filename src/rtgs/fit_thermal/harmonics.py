@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtgs.sh import C0, C1, C2, C3
 
 Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
+Ints = NDArray[np.int32]
 CHUNKS = 16  # fixed parts of the Gaussians: each is written by one thread, so the number of threads changes nothing
 
 _jit = nb.njit(parallel=True, fastmath=True, cache=True)
@@ -41,14 +41,13 @@ def _fill_basis(means: Floats, n: int, centre: Floats, b: Floats) -> None:
 
 
 @_jit
-def colors_of(means: Floats, centre: Floats, visible: Flags, sh: Floats, out: Floats) -> None:
-    """out `[N, C]` = basis · sh where visible `[N]`, the rest is left alone; means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
-    count, k, channels = sh.shape
+def colors_of(means: Floats, centre: Floats, visible: Ints, sh: Floats, out: Floats) -> None:
+    """out `[N, C]` = basis · sh of those in visible `[V]`, the rest is left alone; means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
+    _, k, channels = sh.shape
     for chunk in nb.prange(CHUNKS):
         b = np.empty(k, np.float32)
-        for n in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-            if not visible[n]:
-                continue
+        for v in range(len(visible) * chunk // CHUNKS, len(visible) * (chunk + 1) // CHUNKS):
+            n = visible[v]
             _fill_basis(means, n, centre, b)
             for c in range(channels):
                 out[n, c] = 0.0
@@ -58,14 +57,13 @@ def colors_of(means: Floats, centre: Floats, visible: Flags, sh: Floats, out: Fl
 
 
 @_jit
-def add_transpose(means: Floats, centre: Floats, visible: Flags, colors: Floats, out: Floats) -> None:
-    """out `[N, K, C]` += basis ⊗ colors `[N, C]` where visible `[N]`."""
-    count, k, channels = out.shape
+def add_transpose(means: Floats, centre: Floats, visible: Ints, colors: Floats, out: Floats) -> None:
+    """out `[N, K, C]` += basis ⊗ colors `[N, C]` of those in visible `[V]`."""
+    _, k, channels = out.shape
     for chunk in nb.prange(CHUNKS):
         b = np.empty(k, np.float32)
-        for n in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-            if not visible[n]:
-                continue
+        for v in range(len(visible) * chunk // CHUNKS, len(visible) * (chunk + 1) // CHUNKS):
+            n = visible[v]
             _fill_basis(means, n, centre, b)
             for j in range(k):
                 for c in range(channels):

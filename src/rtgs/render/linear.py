@@ -19,6 +19,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import cpu, reference
 from rtgs.render.cpu.splats import Splats
+from rtgs.render.cpu.weights import Survey, Weights
 from rtgs.render.settings import RenderSettings
 from rtgs.render.view import check
 
@@ -26,8 +27,8 @@ from rtgs.render.view import check
 class LinearRender:
     """The linear map from colours to one view's picture, and its transpose.
 
-    What is kept is the view's splats and their lists; the weights themselves (fifty or more a pixel) are computed again at each use:
-    reading them would take as long, and a few dozen views of them would fill a laptop's memory (docs/performance.md).
+    What is kept is the view's splats and their lists; the weights themselves, fifty or more a pixel, are computed again at each use
+    unless `keep_weights` has been called: a few dozen views of them fill a laptop's memory (docs/performance.md).
 
     Args:
         gaussians: geometry and opacity; its colours are not looked at.
@@ -65,7 +66,7 @@ class LinearRender:
             else _Reference(gaussians, camera, camera_from_world, channels, settings)
         )
         self.alpha: Tensor = self._backend.alpha
-        self.visible: NDArray[np.bool_] = self._backend.visible  # of the N; the others' colours are not looked at
+        self.visible: NDArray[np.int32] = self._backend.visible  # which of the N; the others' colours are not looked at
 
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
@@ -76,6 +77,11 @@ class LinearRender:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
         background = torch.einsum("hw,hwc->c", (1.0 - self.alpha).double(), image.double()).to(image.dtype)
         return self._backend.adjoint(image), background
+
+    def keep_weights(self, within: int) -> None:
+        """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
+        a quarter of the time. "cpu" only; "reference" goes on as before."""
+        self._backend.keep_weights(within)
 
     @property
     def nbytes(self) -> int:
@@ -89,6 +95,7 @@ class LinearViews(Sequence[LinearRender]):
     Args:
         camera_from_world: one pose a view.
         budget_bytes: for all kept views together.
+        keep_weights: whether what the lists of all views leave of the budget may go to their weights (see `LinearRender.keep_weights`).
     """
 
     def __init__(
@@ -100,12 +107,13 @@ class LinearViews(Sequence[LinearRender]):
         channels: int = 1,
         settings: RenderSettings | None = None,
         budget_bytes: int = 2 << 30,
+        keep_weights: bool = False,
         reduced: int = 1,
     ) -> None:
         self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings, reduced=reduced)
         self._poses = list(camera_from_world)
         self._kept: dict[int, LinearRender] = {}
-        self._left = budget_bytes
+        self._left, self._keep_weights = budget_bytes, keep_weights
 
     def __len__(self) -> int:
         return len(self._poses)
@@ -116,6 +124,9 @@ class LinearViews(Sequence[LinearRender]):
             view = self._make(self._poses[index])
             if view.nbytes > self._left:
                 return view
+            if self._keep_weights:
+                waiting = len(self) - len(self._kept) - 1  # lists bring more for their bytes than weights do
+                view.keep_weights(self._left - waiting * view.nbytes)
             self._kept[index] = view
             self._left -= view.nbytes
         return self._kept[index]
@@ -139,22 +150,34 @@ class _Cpu:
         matrix = camera_from_world.matrix()
         pose = (np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]))
         nothing, black = np.empty((0, 2), np.float32), np.zeros((len(gaussians), channels), np.float32)
-        self._splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased, reduced)  # type: ignore[arg-type]
-        _, alpha, self._used = self._splats.blend()
-        self.alpha = torch.from_numpy(alpha)
-        self.visible = self._splats.tiles > 0
+        splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased, reduced)  # type: ignore[arg-type]
+        self._survey = Survey.of(splats)
+        self._map: Splats | Weights = splats
+        self.alpha = torch.from_numpy(self._survey.alpha)
+        self.visible = np.flatnonzero(splats.tiles).astype(np.int32)
 
     def image(self, colors: Tensor) -> Tensor:
-        splats = replace(self._splats, channels=colors.shape[1])
-        splats.set_colors(colors.detach().numpy())
+        numbers = np.ascontiguousarray(colors.detach().numpy(), dtype=np.float32)
+        if isinstance(self._map, Weights):
+            return torch.from_numpy(self._map.image(numbers))
+        splats = replace(self._map, channels=colors.shape[1])
+        splats.set_colors(numbers)
         return torch.from_numpy(splats.blend()[0])
 
     def adjoint(self, image: Tensor) -> Tensor:
-        return torch.from_numpy(self._splats.adjoint(np.ascontiguousarray(image.detach().numpy(), dtype=np.float32), self._used))
+        numbers = np.ascontiguousarray(image.detach().numpy(), dtype=np.float32)
+        if isinstance(self._map, Weights):
+            return torch.from_numpy(self._map.adjoint(numbers))
+        return torch.from_numpy(self._map.adjoint(numbers, self._survey.used))
+
+    def keep_weights(self, within: int) -> None:
+        if isinstance(self._map, Splats) and self._survey.nbytes + self.alpha.nbytes <= within:
+            self._map = Weights.of(self._map, self._survey)
+            self.visible = self._map.seen
 
     @property
     def nbytes(self) -> int:
-        return self._splats.nbytes + self.alpha.nbytes + self.visible.nbytes
+        return self._map.nbytes + self.alpha.nbytes + self.visible.nbytes
 
 
 class _Reference:
@@ -180,7 +203,7 @@ class _Reference:
 
         self._draw = draw
         self.alpha = draw(self._colors)[1]
-        self.visible = np.ones(len(frozen), np.bool_)
+        self.visible = np.arange(len(frozen), dtype=np.int32)
 
     def image(self, colors: Tensor) -> Tensor:
         return self._draw(colors.detach())[0]
@@ -192,6 +215,9 @@ class _Reference:
         if not picture.requires_grad:
             return torch.zeros_like(colors)
         return torch.autograd.grad(picture, colors, image)[0]
+
+    def keep_weights(self, within: int) -> None:
+        pass
 
     @property
     def nbytes(self) -> int:

@@ -26,160 +26,42 @@ from rtgs.render.cpu.layout import (
     DYY,
     ETA,
     G_COLORS,
-    KAPPA,
-    LOG2_ALPHA_MIN,
-    LOG2_OPACITY,
     ONE,
     PATCH,
-    SLANT,
     SPLAT,
-    X_LOW,
-    Y_LOW,
     X,
     Y,
+)
+from rtgs.render.cpu.patch import (
+    AREA,
+    F,
+    aligned,
+    candidates,
+    fetch,
+    fill,
+    load_batch,
+    opacity,
+    patches_of,
+    place,
+    place_alpha,
+    rows_reached,
+    still_alive,
+    time_to_look,
 )
 from rtgs.render.cpu.projection import slot_width
 from rtgs.render.cpu.simd import (
     LANES,
-    any_lane,
-    exp2_below_one,
     lane_numbers,
     lanes_of,
     load,
     lowest_bit,
-    mask_bits,
-    maximum,
-    minimum,
     negative_magnitude,
-    square_root,
     store,
     take_next,
     total,
     where,
 )
 from rtgs.render.settings import ALPHA_MAX, TRANSMITTANCE_MIN
-
-F = np.float32
-_AREA = PATCH * PATCH
-_SLACK_PX = 0.01  # covers the float32 rounding of a box
-_LEFT, _RIGHT, _UPPER, _LOWER = range(4)  # planes of a batch's boxes
-
-
-@nb.njit(inline="always")
-def _aligned(n):
-    """`[n]` float32 on a cache line's boundary."""
-    raw = np.empty(n + 16, np.float32)
-    skip = (-raw.ctypes.data % 64) // 4
-    return raw[skip : skip + n]
-
-
-@nb.njit(inline="always")
-def _fill(state, at, value):
-    """One plane of a patch."""
-    for r in range(PATCH):
-        store(state, at + r * PATCH, lanes_of(value))
-
-
-@nb.njit(inline="always")
-def _fetch(source, q, top, left, state, at):
-    """Channel `q` of `[H, W, C]` into a plane; zero beyond the picture."""
-    _fill(state, at, F(0))
-    for r in range(min(PATCH, source.shape[0] - top)):
-        for i in range(min(PATCH, source.shape[1] - left)):
-            state[at + r * PATCH + i] = source[top + r, left + i, q]
-
-
-@nb.njit(inline="always")
-def _place(state, at, sign, top, left, out, q):
-    """A plane, times `sign`, into channel `q` of `[H, W, C]`."""
-    for r in range(min(PATCH, out.shape[0] - top)):
-        for i in range(min(PATCH, out.shape[1] - left)):
-            out[top + r, left + i, q] = sign * state[at + r * PATCH + i]
-
-
-@nb.njit(inline="always")
-def _place_alpha(state, at, top, left, alpha):
-    for r in range(min(PATCH, alpha.shape[0] - top)):
-        for i in range(min(PATCH, alpha.shape[1] - left)):
-            alpha[top + r, left + i] = F(1) - abs(state[at + r * PATCH + i])
-
-
-@nb.njit(inline="always")
-def _patches(side, top, left, shape):
-    """Rows and columns of patches of a tile that lie in the picture."""
-    return (min(side, shape[0] - top) + PATCH - 1) // PATCH, (min(side, shape[1] - left) + PATCH - 1) // PATCH
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _load_batch(entries, first, count, splats, left, top, batch, boxes):
-    """Copy `count` splats, centres from the tile's corner, and take their bounding boxes as planes `[4 · BATCH]`."""
-    planes = np.empty(6 * LANES, np.float32)
-    for group in range(0, count, LANES):
-        for lane in range(LANES):
-            s, to = SPLAT * entries[first + min(group + lane, count - 1)], SPLAT * (group + lane)
-            store(batch, to, load(splats, s))
-            batch[to + X] = (splats[s + X] - left) + splats[s + X_LOW]
-            batch[to + Y] = (splats[s + Y] - top) + splats[s + Y_LOW]
-            planes[lane], planes[LANES + lane] = batch[to + X], batch[to + Y]
-            planes[2 * LANES + lane], planes[3 * LANES + lane] = splats[s + SLANT], splats[s + ETA]
-            planes[4 * LANES + lane], planes[5 * LANES + lane] = splats[s + KAPPA], splats[s + LOG2_OPACITY]
-        x, y, slant = load(planes, 0), load(planes, LANES), load(planes, 2 * LANES)
-        eta, kappa = load(planes, 3 * LANES), load(planes, 4 * LANES)
-        reach = maximum(load(planes, 5 * LANES) - F(LOG2_ALPHA_MIN), F(0))
-        half_x = square_root(reach * (F(1) / eta + slant * slant / kappa)) + F(_SLACK_PX)
-        half_y = square_root(reach / kappa) + F(_SLACK_PX)
-        store(boxes, _LEFT * BATCH + group, x - half_x)
-        store(boxes, _RIGHT * BATCH + group, x + half_x)
-        store(boxes, _UPPER * BATCH + group, y - half_y)
-        store(boxes, _LOWER * BATCH + group, y + half_y)
-
-
-@nb.njit(inline="always")
-def _candidates(boxes, group, count, x, y):
-    """Which of sixteen splats of the batch have a box that meets the patch at (x, y) of the tile, as bits."""
-    left, right = load(boxes, _LEFT * BATCH + group), load(boxes, _RIGHT * BATCH + group)
-    upper, lower = load(boxes, _UPPER * BATCH + group), load(boxes, _LOWER * BATCH + group)
-    meets = (left <= x + F(PATCH - 0.5)) & (right >= x + F(0.5)) & (upper <= y + F(PATCH - 0.5)) & (lower >= y + F(0.5))
-    return mask_bits(meets) & ((1 << min(LANES, count - group)) - 1)
-
-
-@nb.njit(inline="always")
-def _rows_reached(batch, s, x, y, alive, rows):
-    """Which rows of the patch the splat reaches, as bits; `rows` gets each row's middle and q there.
-
-    `x`, `y`: the centre from the patch's corner.
-    """
-    dy = lane_numbers() + F(0.5) - y
-    middle = x + dy * batch[s + SLANT]
-    q = batch[s + LOG2_OPACITY] - dy * dy * batch[s + KAPPA]
-    store(rows, 0, middle)
-    store(rows, LANES, q)
-    beyond = maximum(maximum(F(0.5) - middle, middle - F(PATCH - 0.5)), F(0))
-    return mask_bits(q - beyond * beyond * batch[s + ETA] >= F(LOG2_ALPHA_MIN)) & alive
-
-
-@nb.njit(inline="always")
-def _opacity(rows, r, eta):
-    """α at the sixteen pixels of row `r`; zero where it is under 1/255."""
-    d = lane_numbers() + F(0.5) - rows[r]
-    q = rows[LANES + r] - d * d * eta
-    return where(q >= F(LOG2_ALPHA_MIN), minimum(exp2_below_one(q), F(ALPHA_MAX)), F(0))
-
-
-@nb.njit(inline="always")
-def _still_alive(state, at, alive):
-    """`alive` without the rows whose pixels are all finished; `at` is the plane of transmittances."""
-    for r in range(PATCH):
-        if (alive >> r) & 1 and not any_lane(load(state, at + r * PATCH) > F(0)):
-            alive &= ~(1 << r)
-    return alive
-
-
-@nb.njit(inline="always")
-def _look(group):
-    """Finished rows are looked for after every 64 splats of the batch."""
-    return group & 63 == 48
-
 
 # --- forwards --------------------------------------------------------------------------------------
 
@@ -188,26 +70,26 @@ def _look(group):
 def _blend_patch(batch, boxes, count, x, y, channels, state, at, alive, rows):
     """Planes from `at` on: transmittance, C colours. Returns the rows that are still alive."""
     for group in range(0, count, LANES):
-        bits = _candidates(boxes, group, count, x, y)
+        bits = candidates(boxes, group, count, x, y)
         while bits != 0:
             s = SPLAT * (group + lowest_bit(bits))
             bits &= bits - 1
-            reached, eta = _rows_reached(batch, s, batch[s + X] - x, batch[s + Y] - y, alive, rows), batch[s + ETA]
+            reached, eta = rows_reached(batch, s, batch[s + X] - x, batch[s + Y] - y, alive, rows), batch[s + ETA]
             while reached != 0:
                 r = lowest_bit(reached)
                 reached &= reached - 1
                 i = at + r * PATCH
-                al, t = _opacity(rows, r, eta), load(state, i)
+                al, t = opacity(rows, r, eta), load(state, i)
                 w = al * t
                 after = t - w
                 is_open = after > F(TRANSMITTANCE_MIN)
                 w = where(is_open, w, F(0))
                 store(state, i, where(is_open, after, negative_magnitude(t)))
                 for c in range(len(channels)):
-                    i += _AREA
+                    i += AREA
                     store(state, i, load(state, i) + w * batch[s + COLORS + c])
-        if _look(group):
-            alive = _still_alive(state, at, alive)
+        if time_to_look(group):
+            alive = still_alive(state, at, alive)
             if alive == 0:
                 break
     return alive
@@ -216,19 +98,19 @@ def _blend_patch(batch, boxes, count, x, y, channels, state, at, alive, rows):
 @nb.njit(cache=True, error_model="numpy")
 def _blend_tile(start, end, entries, splats, left, top, side, channels, image, alpha):
     """Returns how many list entries the tile needed: whole batches."""
-    planes = (1 + len(channels)) * _AREA
-    down, across = _patches(side, top, left, alpha.shape)
-    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
-    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
+    planes = (1 + len(channels)) * AREA
+    down, across = patches_of(side, top, left, alpha.shape)
+    state, alive = aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = aligned(BATCH * SPLAT), aligned(4 * BATCH), aligned(2 * LANES)
     for p in range(down * across):
-        _fill(state, p * planes, F(1))
+        fill(state, p * planes, F(1))
         for c in range(len(channels)):
-            _fill(state, p * planes + (1 + c) * _AREA, F(0))
+            fill(state, p * planes + (1 + c) * AREA, F(0))
         alive[p] = (1 << min(PATCH, alpha.shape[0] - top - p // across * PATCH)) - 1
     first, living = start, down * across
     while first < end and living > 0:
         count, living = min(BATCH, end - first), 0
-        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
         for p in range(down * across):
             if alive[p] != 0:
                 x, y = F(p % across * PATCH), F(p // across * PATCH)
@@ -237,9 +119,9 @@ def _blend_tile(start, end, entries, splats, left, top, side, channels, image, a
         first += count
     for p in range(down * across):
         patch_top, patch_left = top + p // across * PATCH, left + p % across * PATCH
-        _place_alpha(state, p * planes, patch_top, patch_left, alpha)
+        place_alpha(state, p * planes, patch_top, patch_left, alpha)
         for c in range(len(channels)):
-            _place(state, p * planes + (1 + c) * _AREA, F(1), patch_top, patch_left, image, c)
+            place(state, p * planes + (1 + c) * AREA, F(1), patch_top, patch_left, image, c)
     return first - start
 
 
@@ -272,13 +154,13 @@ def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive,
     Adds to `gradients`, a row of `LANES` numbers a splat of the batch.
     """
     for group in range(0, count, LANES):
-        bits = _candidates(boxes, group, count, x, y)
+        bits = candidates(boxes, group, count, x, y)
         while bits != 0:
             k = group + lowest_bit(bits)
             s = SPLAT * k
             bits &= bits - 1
             from_y = batch[s + Y] - y
-            reached, eta = _rows_reached(batch, s, batch[s + X] - x, from_y, alive, rows), batch[s + ETA]
+            reached, eta = rows_reached(batch, s, batch[s + X] - x, from_y, alive, rows), batch[s + ETA]
             if reached == 0:
                 continue
             colors = no_lanes(channels)
@@ -287,17 +169,17 @@ def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive,
                 r = lowest_bit(reached)
                 reached &= reached - 1
                 i = at + r * PATCH
-                al, t = _opacity(rows, r, eta), load(state, i)
+                al, t = opacity(rows, r, eta), load(state, i)
                 w = al * t
                 after = t - w
                 is_open = after > F(TRANSMITTANCE_MIN)
                 w = where(is_open, w, F(0))
                 store(state, i, where(is_open, after, negative_magnitude(t)))
-                g_alpha = load(state, i + (2 + len(channels)) * _AREA)
-                here = weighted_sum(channels, g_alpha, state, i + 2 * _AREA, _AREA, batch, s + COLORS)
-                remains = load(state, i + _AREA) - w * here
-                store(state, i + _AREA, remains)
-                colors = add_scaled(colors, w, state, i + 2 * _AREA, _AREA)
+                g_alpha = load(state, i + (2 + len(channels)) * AREA)
+                here = weighted_sum(channels, g_alpha, state, i + 2 * AREA, AREA, batch, s + COLORS)
+                remains = load(state, i + AREA) - w * here
+                store(state, i + AREA, remains)
+                colors = add_scaled(colors, w, state, i + 2 * AREA, AREA)
                 # E = α·∂L/∂α; a held α does not move.
                 e = al * (t * here - remains / (F(1) - al))
                 e = where(is_open & (al < F(ALPHA_MAX)), e, F(0))
@@ -316,8 +198,8 @@ def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive,
             gradients[g + DYY] += total(m2)
             for c in range(len(channels)):
                 gradients[g + G_COLORS + c] += total(colors[c])
-        if _look(group):
-            alive = _still_alive(state, at, alive)
+        if time_to_look(group):
+            alive = still_alive(state, at, alive)
             if alive == 0:
                 break
     return alive
@@ -335,32 +217,32 @@ def _blend_tile_backward(
     start, end, entries, splats, left, top, side, channels, image, alpha, g_image, g_alpha, slot, slot_grads
 ):
     channel_count = len(channels)
-    planes, width = (3 + channel_count) * _AREA, slot_width(G_COLORS + channel_count)
-    down, across = _patches(side, top, left, alpha.shape)
-    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
-    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
-    gradients = _aligned(BATCH * LANES)
+    planes, width = (3 + channel_count) * AREA, slot_width(G_COLORS + channel_count)
+    down, across = patches_of(side, top, left, alpha.shape)
+    state, alive = aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = aligned(BATCH * SPLAT), aligned(4 * BATCH), aligned(2 * LANES)
+    gradients = aligned(BATCH * LANES)
     for p in range(down * across):
         at, patch_top, patch_left = p * planes, top + p // across * PATCH, left + p % across * PATCH
-        _fill(state, at, F(1))
-        _fetch(g_alpha, 0, patch_top, patch_left, state, at + (2 + channel_count) * _AREA)
-        _fetch(alpha, 0, patch_top, patch_left, state, at + _AREA)
+        fill(state, at, F(1))
+        fetch(g_alpha, 0, patch_top, patch_left, state, at + (2 + channel_count) * AREA)
+        fetch(alpha, 0, patch_top, patch_left, state, at + AREA)
         for r in range(PATCH):
             i = at + r * PATCH
-            store(state, i + _AREA, load(state, i + _AREA) * load(state, i + (2 + channel_count) * _AREA))
+            store(state, i + AREA, load(state, i + AREA) * load(state, i + (2 + channel_count) * AREA))
         for c in range(channel_count):
-            _fetch(image, c, patch_top, patch_left, state, at + (2 + c) * _AREA)
+            fetch(image, c, patch_top, patch_left, state, at + (2 + c) * AREA)
             for r in range(PATCH):
-                store(rows, 0, load(state, at + (2 + c) * _AREA + r * PATCH))
+                store(rows, 0, load(state, at + (2 + c) * AREA + r * PATCH))
                 for i in range(min(PATCH, alpha.shape[1] - patch_left)):
                     if patch_top + r < alpha.shape[0]:
-                        state[at + (2 + c) * _AREA + r * PATCH + i] = g_image[patch_top + r, patch_left + i, c]
+                        state[at + (2 + c) * AREA + r * PATCH + i] = g_image[patch_top + r, patch_left + i, c]
                 i = at + r * PATCH
-                store(state, i + _AREA, load(state, i + _AREA) + load(rows, 0) * load(state, i + (2 + c) * _AREA))
+                store(state, i + AREA, load(state, i + AREA) + load(rows, 0) * load(state, i + (2 + c) * AREA))
         alive[p] = (1 << min(PATCH, alpha.shape[0] - patch_top)) - 1
     for first in range(start, end, BATCH):
         count = min(BATCH, end - first)
-        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
         gradients[:] = F(0)
         for p in range(down * across):
             if alive[p] != 0:
@@ -412,12 +294,12 @@ def blend_backward(
 def _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, at, alive, rows, gradients):
     """Planes from `at` on: transmittance, C image gradients. Adds to `gradients`, a row of `LANES` numbers a splat of the batch."""
     for group in range(0, count, LANES):
-        bits = _candidates(boxes, group, count, x, y)
+        bits = candidates(boxes, group, count, x, y)
         while bits != 0:
             k = group + lowest_bit(bits)
             s = SPLAT * k
             bits &= bits - 1
-            reached, eta = _rows_reached(batch, s, batch[s + X] - x, batch[s + Y] - y, alive, rows), batch[s + ETA]
+            reached, eta = rows_reached(batch, s, batch[s + X] - x, batch[s + Y] - y, alive, rows), batch[s + ETA]
             if reached == 0:
                 continue
             colors = no_lanes(channels)
@@ -426,15 +308,15 @@ def _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, at, alive, 
                 reached &= reached - 1
                 i = at + r * PATCH
                 t = load(state, i)
-                w = _opacity(rows, r, eta) * t
+                w = opacity(rows, r, eta) * t
                 after = t - w
                 is_open = after > F(TRANSMITTANCE_MIN)
                 store(state, i, where(is_open, after, negative_magnitude(t)))
-                colors = add_scaled(colors, where(is_open, w, F(0)), state, i + _AREA, _AREA)
+                colors = add_scaled(colors, where(is_open, w, F(0)), state, i + AREA, AREA)
             for c in range(len(channels)):
                 gradients[k * LANES + c] += total(colors[c])
-        if _look(group):
-            alive = _still_alive(state, at, alive)
+        if time_to_look(group):
+            alive = still_alive(state, at, alive)
             if alive == 0:
                 break
     return alive
@@ -442,20 +324,20 @@ def _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, at, alive, 
 
 @nb.njit(cache=True, error_model="numpy")
 def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, g_image, slot, slot_grads):
-    planes, width = (1 + len(channels)) * _AREA, slot_width(len(channels))
-    down, across = _patches(side, top, left, g_image.shape)
-    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
-    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
-    gradients = _aligned(BATCH * LANES)
+    planes, width = (1 + len(channels)) * AREA, slot_width(len(channels))
+    down, across = patches_of(side, top, left, g_image.shape)
+    state, alive = aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = aligned(BATCH * SPLAT), aligned(4 * BATCH), aligned(2 * LANES)
+    gradients = aligned(BATCH * LANES)
     for p in range(down * across):
         patch_top, patch_left = top + p // across * PATCH, left + p % across * PATCH
-        _fill(state, p * planes, F(1))
+        fill(state, p * planes, F(1))
         for c in range(len(channels)):
-            _fetch(g_image, c, patch_top, patch_left, state, p * planes + (1 + c) * _AREA)
+            fetch(g_image, c, patch_top, patch_left, state, p * planes + (1 + c) * AREA)
         alive[p] = (1 << min(PATCH, g_image.shape[0] - patch_top)) - 1
     for first in range(start, end, BATCH):
         count = min(BATCH, end - first)
-        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
         gradients[:] = F(0)
         for p in range(down * across):
             if alive[p] != 0:
@@ -492,13 +374,13 @@ def _blend_patch_tangents(
     channel_count, ways = len(channels), len(directions)
     width = G_COLORS + channel_count
     for group in range(0, count, LANES):
-        bits = _candidates(boxes, group, count, x, y)
+        bits = candidates(boxes, group, count, x, y)
         while bits != 0:
             k = group + lowest_bit(bits)
             s = SPLAT * k
             bits &= bits - 1
             from_y = batch[s + Y] - y
-            reached, eta = _rows_reached(batch, s, batch[s + X] - x, from_y, alive, rows), batch[s + ETA]
+            reached, eta = rows_reached(batch, s, batch[s + X] - x, from_y, alive, rows), batch[s + ETA]
             if reached == 0:
                 continue
             tangent = entries[first + k] * ways * width
@@ -512,19 +394,19 @@ def _blend_patch_tangents(
                 r = lowest_bit(reached)
                 reached &= reached - 1
                 i = at + r * PATCH
-                al, t = _opacity(rows, r, eta), load(state, i)
+                al, t = opacity(rows, r, eta), load(state, i)
                 w = al * t
                 after = t - w
                 is_open = after > F(TRANSMITTANCE_MIN)
                 w = where(is_open, w, F(0))
                 store(state, i, where(is_open, after, negative_magnitude(t)))
                 for c in range(channel_count):
-                    i += _AREA
+                    i += AREA
                     store(state, i, load(state, i) + w * batch[s + COLORS + c])
                 moves = where(al < F(ALPHA_MAX), w, F(0))  # a held α does not move
                 al = where(is_open, al, F(0))
                 for j in range(ways):
-                    i += _AREA
+                    i += AREA
                     g = tangent + j * width
                     slope = polynomial[(2 * j + 1) * LANES + r] + dx * tangents[g + DXX]
                     d_ln_alpha = polynomial[2 * j * LANES + r] + dx * slope
@@ -532,10 +414,10 @@ def _blend_patch_tangents(
                     d_w = moves * d_ln_alpha + al * d_t  # w = α·T
                     store(state, i, d_t - d_w)
                     for c in range(channel_count):
-                        i += _AREA
+                        i += AREA
                         store(state, i, load(state, i) + d_w * batch[s + COLORS + c] + w * tangents[g + G_COLORS + c])
-        if _look(group):
-            alive = _still_alive(state, at, alive)
+        if time_to_look(group):
+            alive = still_alive(state, at, alive)
             if alive == 0:
                 break
     return alive
@@ -546,20 +428,20 @@ def _blend_tile_tangents(
     start, end, entries, splats, tangents, left, top, side, channels, directions, image, alpha, d_image, d_alpha
 ):
     channel_count, ways = len(channels), len(directions)
-    each = (1 + channel_count) * _AREA
+    each = (1 + channel_count) * AREA
     planes = each * (1 + ways)
-    down, across = _patches(side, top, left, alpha.shape)
-    state, alive = _aligned(down * across * planes), np.empty(down * across, np.int64)
-    batch, boxes, rows = _aligned(BATCH * SPLAT), _aligned(4 * BATCH), _aligned(2 * LANES)
-    polynomial = _aligned(2 * ways * LANES)
+    down, across = patches_of(side, top, left, alpha.shape)
+    state, alive = aligned(down * across * planes), np.empty(down * across, np.int64)
+    batch, boxes, rows = aligned(BATCH * SPLAT), aligned(4 * BATCH), aligned(2 * LANES)
+    polynomial = aligned(2 * ways * LANES)
     state[:] = F(0)
     for p in range(down * across):
-        _fill(state, p * planes, F(1))
+        fill(state, p * planes, F(1))
         alive[p] = (1 << min(PATCH, alpha.shape[0] - top - p // across * PATCH)) - 1
     first, living = start, down * across
     while first < end and living > 0:
         count, living = min(BATCH, end - first), 0
-        _load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
+        load_batch(entries, first, count, splats, F(left), F(top), batch, boxes)
         for p in range(down * across):
             if alive[p] != 0:
                 x, y = F(p % across * PATCH), F(p // across * PATCH)
@@ -569,14 +451,14 @@ def _blend_tile_tangents(
         first += count
     for p in range(down * across):
         at, patch_top, patch_left = p * planes, top + p // across * PATCH, left + p % across * PATCH
-        _place_alpha(state, at, patch_top, patch_left, alpha)
+        place_alpha(state, at, patch_top, patch_left, alpha)
         for c in range(channel_count):
-            _place(state, at + (1 + c) * _AREA, F(1), patch_top, patch_left, image, c)
+            place(state, at + (1 + c) * AREA, F(1), patch_top, patch_left, image, c)
         for j in range(ways):
             at += each
-            _place(state, at, F(-1), patch_top, patch_left, d_alpha, j)
+            place(state, at, F(-1), patch_top, patch_left, d_alpha, j)
             for c in range(channel_count):
-                _place(state, at + (1 + c) * _AREA, F(1), patch_top, patch_left, d_image, j * channel_count + c)
+                place(state, at + (1 + c) * AREA, F(1), patch_top, patch_left, d_image, j * channel_count + c)
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")

@@ -43,6 +43,7 @@ _ELEMENT = {
     types.float32: ir.FloatType(),
     types.float64: ir.DoubleType(),
     types.int32: ir.IntType(32),
+    types.uint16: ir.IntType(16),
     types.boolean: ir.IntType(1),
 }
 
@@ -172,6 +173,30 @@ def store(typingctx, array, index, value):
         return context.get_dummy_value()
 
     return types.void(array, types.intp, LanesType(array.dtype)), codegen
+
+
+@intrinsic
+def load_uint16(typingctx, array, index):
+    """Sixteen numbers of a contiguous uint16 array, as float32."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        short = builder.load(address(context, builder, sig.args[0], args[0], args[1]), align=2)
+        return builder.sitofp(builder.zext(short, vector_of(int_lanes)), vector_of(float_lanes))
+
+    return float_lanes(types.Array(types.uint16, 1, "C"), types.intp), codegen
+
+
+@intrinsic
+def store_uint16(typingctx, array, index, value):
+    """Write float32 lanes in [0, 65536) into a contiguous uint16 array, rounded towards zero."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        whole = builder.fptosi(args[2], vector_of(int_lanes))
+        short = builder.trunc(whole, ir.VectorType(ir.IntType(16), LANES))
+        builder.store(short, address(context, builder, sig.args[0], args[0], args[1]), align=2)
+        return context.get_dummy_value()
+
+    return types.void(types.Array(types.uint16, 1, "C"), types.intp, float_lanes), codegen
 
 
 @intrinsic
