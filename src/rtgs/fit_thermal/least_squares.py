@@ -23,7 +23,7 @@ class Problem:
         frames: indices of those that count.
         images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
         offsets: `[C]`, 1 for a problem in which each frame has an offset of its own, 0 where they are 0; None: 0 everywhere.
-        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none. Only where `offsets` are all alike.
+        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none.
         ridge, prior: `[D, C]`.
         inverses, background: the preconditioner (see `preconditioner`).
     """
@@ -79,27 +79,38 @@ class Problem:
                 yield image, self._weighted(f, image)
             return
         kept = [(image, self._weighted(f, image)) for f, image in zip(self.frames, images, strict=True)]
-        zero = torch.zeros(self.surface.shape[2], self.ridge.shape[1])
-        right = sum((torch.einsum("hwb,hwc->bc", self.surface, w) for _, w in kept), zero)
-        common = self.surface @ (self._surfaces @ right)
+        planes, zero = self.surface.permute(2, 0, 1).flatten(1), torch.zeros(self.surface.shape[2], self.ridge.shape[1])
+        right = sum((planes @ w.flatten(0, 1) for _, w in kept), zero)
+        common = self.surface @ torch.einsum("cbd,dc->bc", self._surfaces, right)
+        subtracted: dict[int, Tensor] = {}  # by weights: most often all frames have the same
         for f, (image, weighted) in zip(self.frames, kept, strict=True):
-            yield image, weighted - self._weighted(f, common)
+            key = id(self.weights[f])
+            if key not in subtracted:
+                subtracted = {key: self._weighted(f, common)}
+            yield image, weighted.sub_(subtracted[key])
 
     @cached_property
     def _surfaces(self) -> Tensor:
-        """`[B, B]`: inverse of the normal matrix of the surface alone."""
+        """`[C, B, B]`: inverse of the normal matrix of the surface alone, without or with offsets besides."""
         assert self.surface is not None
         surface = self.surface
-        alone = self if self.offsets is None else replace(self, offsets=self.offsets[:1])
-        products = [torch.einsum("hwb,hwc->bc", surface, alone._weighted(f, surface)) for f in self.frames]
-        return torch.linalg.pinv(torch.stack(products).sum(0), hermitian=True)
+
+        def inverse(offset: float) -> Tensor:
+            alone = replace(self, offsets=torch.tensor([offset]))
+            products = [torch.einsum("hwb,hwc->bc", surface, alone._weighted(f, surface)) for f in self.frames]
+            return torch.linalg.pinv(torch.stack(products).sum(0), hermitian=True)
+
+        offsets = [0.0] * self.ridge.shape[1] if self.offsets is None else self.offsets.tolist()
+        inverses = {offset: inverse(offset) for offset in set(offsets)}
+        return torch.stack([inverses[offset] for offset in offsets])
 
     def _weighted(self, frame: int, image: Tensor) -> Tensor:
         """Weights · (image less its weighted mean, where there are offsets)."""
-        weights = self.weights[frame][..., None]
-        weighted = image * weights
+        weights = self.weights[frame]
+        weighted = image * weights[..., None]
         if self.offsets is not None:
-            weighted -= weights * (self.offsets * weighted.sum((0, 1)) / weights.sum().clamp_min(1e-12))
+            means = weighted.sum((0, 1)) / weights.sum().clamp_min(1e-12)
+            weighted.addcmul_(weights[..., None], self.offsets * means, value=-1.0)
         return weighted
 
 

@@ -38,7 +38,7 @@ RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
 DEFAULT_FACTOR = 0.3  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
-SETTLED_SHARE, SETTLED_AFTER = 0.02, 1  # a validation error that fell by less over so many iterations
+SETTLED_SHARE = 0.02  # a validation error that an iteration lowered by less
 HUBER = 0.5  # residuals count by their square up to so many root mean squares, beyond by their size
 ROUNDS = 1  # of reweighting
 DRIFT_SHARE = 0.02  # of the error on validation frames must be their own gain's and offset's for drift to be looked into; so many
@@ -49,7 +49,7 @@ DRIFT_ITERATIONS = 4
 ITERATIONS = 60
 TOLERANCE = 5e-3
 USUAL_PASSES = 22
-LAST_ITERATIONS = 3  # at full size, beyond what validation frames found to be enough
+LAST = (3, 3)
 FEWEST_PIXELS = 128  # on the shorter side of a reduced photograph
 
 
@@ -220,27 +220,21 @@ def fit_linear(
     passes = Passes(len(data) * USUAL_PASSES, progress)
 
     def design(reduced: int) -> Design:
-        camera = scene.rig.thermal.reduced(reduced)
-        return Design(rgb_model.gaussians.detach(), camera, data.poses, config.sh_degree, rgb_model.settings, reduced)
+        camera, keep = scene.rig.thermal.reduced(reduced), reduced == levels[0]
+        gaussians, settings = rgb_model.gaussians.detach(), rgb_model.settings
+        return Design(gaussians, camera, data.poses, config.sh_degree, settings, reduced=reduced, keep_weights=keep)
 
     fit = Fit.of(design(levels[0]), data.reduced(levels[0]), median, passes)
     validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
-    start = fit.evidence.prior[:, None]
-    tried = choose_ridge(fit, validation, start, aside=config.drift == "auto")
-    looks_drifting = Judge(fit, validation).is_worth_a_look(tried.shown)
-    kind, x = config.drift, tried.x
-    if kind == "auto":
-        kind, x = choose_offsets(fit, validation, tried) if looks_drifting else ("off", x)
-    images = fit.images(x)
+    judge = Judge(fit, validation, fit.surface())
+    kind, first, looks_drifting = first_look(judge, config.drift)
+    images = fit.images(first.x)
     pattern = choose_pattern(fit, validation, kind, images)
-    clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
-    if kind != "off" or pattern is not None:  # the ridge no longer has to stand up to them
-        if pattern is not None:  # x has taken vignetting in, which it would be slow to give back
-            x = start
-        tried = choose_ridge(clean, validation, x, clean.gauged(kind, images), surface)
-        images = fit.images(tried.x)
+    judge = Judge(fit, validation) if pattern is None else replace(judge, fit=fit.without(pattern))
+    tried = choose_ridge(judge, first.x, judge.fit.gauged(kind, images))
+    images = fit.images(tried.x)
     if config.drift == "auto" and looks_drifting:
-        kind, tried, images = choose_gains(clean, validation, kind, tried, images, surface)
+        kind, tried, images = choose_gains(judge, kind, tried, images)
     x = tried.x
     for level in levels:
         if level != levels[0]:
@@ -249,8 +243,9 @@ def fit_linear(
         if pattern is not None:  # of images that no longer have a part in it
             pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
         clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
-        iterations = (tried.iterations if level == levels[0] else 0) + (LAST_ITERATIONS if level == 1 else 0)
-        x, images, drift, history = reweighted(clean, tried.factor, iterations, kind, x, images, passes, surface)
+        x, images, drift, history = reweighted(
+            clean, tried.factor, kind, x, images, passes, surface, LAST[level != 1] if validation else ITERATIONS
+        )
     if pattern is not None:
         pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
     drift, gain, offset = in_gauge(drift)
@@ -260,74 +255,6 @@ def fit_linear(
     if pattern is not None:
         model = replace(model, pattern=pattern.numpy() * np.float32(span.linear.width))
     return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
-
-
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """What validation frames say of the ridge.
-
-    Attributes:
-        factor: with the smallest error.
-        iterations: that were enough for it.
-        x: `[D, 1]` under it, fitted to the other frames.
-        shown: `[h, w]` of each validation frame.
-        with_offsets: the pair (x, shown) with an offset of its own for each frame, under the usual ridge; without: the same without.
-    """
-
-    factor: float
-    iterations: int
-    x: Tensor
-    shown: Sequence[Tensor]
-    with_offsets: tuple[Tensor, Sequence[Tensor]] | None = None
-    without: tuple[Tensor, Sequence[Tensor]] | None = None
-
-
-def choose_ridge(
-    fit: Fit,
-    validation: Sequence[int],
-    start: Tensor,
-    drift: tuple[Kind, Drift] | None = None,
-    surface: Tensor | None = None,
-    *,
-    aside: bool = False,
-) -> Tried:
-    """The factor with the smallest mean absolute error on frames that the fit did not see.
-
-    With drift, a frame's own gain and offset are taken out of its error.
-
-    Args:
-        aside: also solve with offsets, side by side with the ridges, which costs a tenth of what it would cost by itself.
-    """
-    if not validation:
-        return Tried(DEFAULT_FACTOR, ITERATIONS, start, [])
-    rest = [f for f in range(len(fit.data)) if f not in validation]
-    count, best = len(RIDGE_FACTORS), [math.inf] * SETTLED_AFTER
-    factors = (*RIDGE_FACTORS, DEFAULT_FACTOR) if aside else RIDGE_FACTORS
-    offsets = torch.tensor([0.0] * count + [1.0]) if aside else None
-    errors, kind = torch.zeros(count), "off" if drift is None else drift[0]
-    shown: dict[int, Tensor] = {}
-
-    def settled(x: Tensor) -> bool:
-        for f in validation:
-            shown[f] = fit.design.image(f, x)
-            fit.each()
-        for c in range(count):
-            errors[c] = fit.errors(kind, validation, [shown[f][..., c] for f in validation], surface).sum()
-        best.append(float(errors.min()))
-        return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - SETTLED_AFTER]
-
-    problem = fit.problem(factors, rest, drift=drift, offsets=offsets, surface=surface)
-    solution = solve(problem, start.expand(-1, len(factors)), iterations=ITERATIONS, settled=settled, each=fit.each)
-    x, done = solution.x, solution.iterations
-
-    def column(c: int) -> tuple[Tensor, list[Tensor]]:
-        return x[:, c : c + 1].clone(), [shown[f][..., c] for f in validation]
-
-    chosen = int(errors.argmin())
-    if not aside:
-        return Tried(RIDGE_FACTORS[chosen], done, *column(chosen))
-    usual = RIDGE_FACTORS.index(DEFAULT_FACTOR)
-    return Tried(RIDGE_FACTORS[chosen], done, *column(chosen), column(count), column(usual))
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,27 +305,93 @@ class Judge:
         return float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(self.validation) ** 0.5)
 
 
-def choose_offsets(fit: Fit, validation: Sequence[int], tried: Tried) -> tuple[Kind, Tensor]:
-    """Whether frames have an offset of their own; and the unknowns that go with the answer."""
-    judge = Judge(fit, validation)
-    if tried.with_offsets is None or tried.without is None:
-        return "off", tried.x
-    images = fit.images(tried.with_offsets[0])
-    if judge.level("offset", images) > LEVEL_LOSS * float(judge.errors("off", tried.shown).sum()):
-        return "off", tried.x
-    better = judge.is_better("offset", tried.without[1], tried.with_offsets[1])
-    return ("offset", tried.with_offsets[0]) if better else ("off", tried.x)
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """One of the problems that were solved side by side: unknowns `[D, 1]`, and what they look like in the validation frames."""
+
+    x: Tensor
+    shown: Sequence[Tensor]
 
 
-def choose_gains(
-    fit: Fit, validation: Sequence[int], kind: Kind, tried: Tried, images: list[Tensor], surface: Tensor | None
-) -> tuple[Kind, Tried, list[Tensor]]:
+def solve_until_settled(judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind]) -> tuple[list[Solved], Tensor]:
+    """Until an iteration does little for the error of the validation frames, which `problem` leaves out; start `[D, 1]`.
+
+    Returns:
+        The problems' solutions and errors `[C]`, of each of its own kind.
+    """
+    fit, frames = judge.fit, judge.validation
+    shown: dict[int, Tensor] = {}
+    errors, best = torch.zeros(len(kinds)), math.inf
+
+    def column(c: int) -> list[Tensor]:
+        return [shown[f][..., c] for f in frames]
+
+    def settled(x: Tensor) -> bool:
+        nonlocal best
+        for f in frames:
+            shown[f] = fit.design.image(f, x)
+            fit.each()
+        for c, kind in enumerate(kinds):
+            errors[c] = judge.errors(kind, column(c)).sum()
+        before, best = best, float(errors.min())
+        return best > (1.0 - SETTLED_SHARE) * before
+
+    x = solve(problem, start.expand(-1, len(kinds)), iterations=ITERATIONS, settled=settled, each=fit.each).x
+    return [Solved(x[:, c : c + 1].clone(), column(c)) for c in range(len(kinds))], errors
+
+
+def first_look(judge: Judge, drift: str) -> tuple[Kind, Solved, bool]:
+    """Under the usual ridge, with nothing known of the sensor's pattern but that it is a common surface nearly.
+
+    Returns:
+        Whether frames have an offset of their own, where `drift` "auto" leaves that open (gains come later); the unknowns that go
+        with the answer; and whether drift is to be looked into further.
+    """
+    fit, start = judge.fit, judge.fit.evidence.prior[:, None]
+    if not judge.validation:
+        return "off" if drift == "auto" else drift, Solved(start, []), False
+    has_offsets = {"auto": (0.0, 1.0), "off": (0.0,)}.get(drift, (1.0,))
+    factors = (DEFAULT_FACTOR,) * len(has_offsets)
+    problem = fit.problem(factors, judge.rest, offsets=torch.tensor(has_offsets), surface=judge.surface)
+    kinds = ["offset" if o else "off" for o in has_offsets]
+    solved, errors = solve_until_settled(judge, problem, start, kinds)
+    if drift != "auto":
+        return drift, solved[0], False
+    without, with_offsets = solved
+    if not judge.is_worth_a_look(without.shown):
+        return "off", without, False
+    allowed = LEVEL_LOSS * float(judge.errors("off", without.shown).sum())
+    if judge.level("offset", fit.images(with_offsets.x)) > allowed:
+        return "off", without, True
+    better = judge.is_better("offset", without.shown, with_offsets.shown)
+    return ("offset", with_offsets, True) if better else ("off", without, True)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """What validation frames say of the ridge: the factor with the smallest error; x `[D, 1]` under it, fitted to the other frames."""
+
+    factor: float
+    x: Tensor
+
+
+def choose_ridge(judge: Judge, start: Tensor, drift: tuple[Kind, Drift]) -> Tried:
+    """The factor with the smallest mean absolute error on frames that the fit did not see, their own gains and offsets taken out."""
+    if not judge.validation:
+        return Tried(DEFAULT_FACTOR, start)
+    problem = judge.fit.problem(RIDGE_FACTORS, judge.rest, drift=drift, surface=judge.surface)
+    solved, errors = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS))
+    chosen = int(errors.argmin())
+    return Tried(RIDGE_FACTORS[chosen], solved[chosen].x)
+
+
+def choose_gains(judge: Judge, kind: Kind, tried: Tried, images: list[Tensor]) -> tuple[Kind, Tried, list[Tensor]]:
     """Whether frames have a gain besides, the sensor's pattern taken out: vignetting that is left in looks like one.
 
     Args:
-        images: of all frames, by `tried`. surface: see `Problem`.
+        images: of all frames, by `tried`.
     """
-    judge = Judge(fit, validation, surface)
+    fit, surface = judge.fit, judge.surface
     if not judge.is_worth_a_look(judge.of_validation(images), kind):
         return kind, tried, images
 
@@ -417,7 +410,7 @@ def choose_gains(
         return kind, tried, images
     if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
         return kind, tried, images
-    tried = choose_ridge(fit, validation, x, fit.gauged("gain-offset", after), surface)
+    tried = choose_ridge(judge, x, fit.gauged("gain-offset", after))
     return "gain-offset", tried, fit.images(tried.x)
 
 
@@ -442,12 +435,12 @@ def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequ
 def reweighted(
     fit: Fit,
     factor: float,
-    iterations: int,
     kind: Kind,
     start: Tensor,
     images: list[Tensor],
     passes: Passes,
     surface: Tensor | None = None,
+    iterations: int = 3,
 ) -> tuple[Tensor, list[Tensor], Drift, dict[str, list[float]]]:
     """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]` and its images.
 

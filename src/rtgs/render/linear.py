@@ -66,16 +66,17 @@ class LinearRender:
             else _Reference(gaussians, camera, camera_from_world, channels, settings)
         )
         self.alpha: Tensor = self._backend.alpha
+        self._through = 1.0 - self.alpha
         self.visible: NDArray[np.int32] = self._backend.visible  # which of the N; the others' colours are not looked at
 
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
         picture = self._backend.image(colors)
-        return picture if background is None else picture + (1.0 - self.alpha)[..., None] * background
+        return picture if background is None else picture.addcmul_(self._through[..., None], background)
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
-        background = torch.einsum("hw,hwc->c", (1.0 - self.alpha).double(), image.double()).to(image.dtype)
+        background = image.permute(2, 0, 1).flatten(1) @ self._through.flatten()
         return self._backend.adjoint(image), background
 
     def keep_weights(self, within: int) -> None:
@@ -165,10 +166,10 @@ class _Cpu:
         return torch.from_numpy(splats.blend()[0])
 
     def adjoint(self, image: Tensor) -> Tensor:
-        numbers = np.ascontiguousarray(image.detach().numpy(), dtype=np.float32)
+        numbers = image.detach().numpy()
         if isinstance(self._map, Weights):
             return torch.from_numpy(self._map.adjoint(numbers))
-        return torch.from_numpy(self._map.adjoint(numbers, self._survey.used))
+        return torch.from_numpy(self._map.adjoint(np.ascontiguousarray(numbers, dtype=np.float32), self._survey.used))
 
     def keep_weights(self, within: int) -> None:
         if isinstance(self._map, Splats) and self._survey.nbytes + self.alpha.nbytes <= within:

@@ -20,12 +20,10 @@ from rtgs.render.cpu.patch import (
     F,
     aligned,
     candidates,
-    fetch,
     fill,
     load_batch,
     opacity,
     patches_of,
-    place,
     place_alpha,
     rows_reached,
     still_alive,
@@ -34,6 +32,7 @@ from rtgs.render.cpu.patch import (
 from rtgs.render.cpu.simd import (
     LANES,
     any_lane,
+    lanes_of,
     load,
     load_uint16,
     lowest_bit,
@@ -149,9 +148,41 @@ def _by_splat(splats, gaussians):
     return seen, starts, order
 
 
+@nb.njit(inline="always")
+def _fetch_planes(image, top, left, state):
+    """A patch of `[C, H, W]`; zero beyond the picture."""
+    channels, height, width = image.shape
+    flat = image.reshape(-1)
+    for c in range(channels):
+        for r in range(PATCH):
+            at, start = c * AREA + r * PATCH, (c * height + top + r) * width + left
+            if top + r >= height:
+                store(state, at, lanes_of(F(0)))
+            elif left + PATCH <= width:
+                store(state, at, load(flat, start))
+            else:
+                for i in range(PATCH):
+                    state[at + i] = flat[start + i] if left + i < width else F(0)
+
+
+@nb.njit(inline="always")
+def _place_planes(state, factor, top, left, image):
+    """The patch, times `factor`, into `[C, H, W]`."""
+    channels, height, width = image.shape
+    flat = image.reshape(-1)
+    for c in range(channels):
+        for r in range(min(PATCH, height - top)):
+            at, start = c * AREA + r * PATCH, (c * height + top + r) * width + left
+            if left + PATCH <= width:
+                store(flat, start, load(state, at) * factor)
+            else:
+                for i in range(width - left):
+                    flat[start + i] = state[at + i] * factor
+
+
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def _image(tile_order, threads, side, starts, splats, masks, weights, channels, colors, image):
-    across, patches = (image.shape[1] + side - 1) // side, (side // PATCH) ** 2
+    across, patches = (image.shape[2] + side - 1) // side, (side // PATCH) ** 2
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
         state = aligned(len(channels) * AREA)
@@ -161,7 +192,7 @@ def _image(tile_order, threads, side, starts, splats, masks, weights, channels, 
                 break
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
-            down, columns = patches_of(side, top, left, image.shape)
+            down, columns = patches_of(side, top, left, image.shape[1:])
             for p in range(down * columns):
                 for c in range(len(channels)):
                     fill(state, c * AREA, F(0))
@@ -176,14 +207,13 @@ def _image(tile_order, threads, side, starts, splats, masks, weights, channels, 
                         for c in range(len(channels)):
                             store(state, i, load(state, i) + w * colors[color + c])
                             i += AREA
-                for c in range(len(channels)):
-                    place(state, c * AREA, F(1 / UNIT), top + p // columns * PATCH, left + p % columns * PATCH, image, c)
+                _place_planes(state, F(1 / UNIT), top + p // columns * PATCH, left + p % columns * PATCH, image)
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def _adjoint(tile_order, threads, side, starts, splats, masks, weights, channels, image, sums):
     """`sums` `[M · C]`, of each meeting."""
-    across, patches = (image.shape[1] + side - 1) // side, (side // PATCH) ** 2
+    across, patches = (image.shape[2] + side - 1) // side, (side // PATCH) ** 2
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
         state = aligned(len(channels) * AREA)
@@ -193,10 +223,9 @@ def _adjoint(tile_order, threads, side, starts, splats, masks, weights, channels
                 break
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
-            down, columns = patches_of(side, top, left, image.shape)
+            down, columns = patches_of(side, top, left, image.shape[1:])
             for p in range(down * columns):
-                for c in range(len(channels)):
-                    fetch(image, c, top + p // columns * PATCH, left + p % columns * PATCH, state, c * AREA)
+                _fetch_planes(image, top + p // columns * PATCH, left + p % columns * PATCH, state)
                 meeting, row = starts[tile * patches + p]
                 for m in range(meeting, starts[tile * patches + p + 1, 0]):
                     bits, colors = np.int64(masks[m]), no_lanes(channels)
@@ -292,16 +321,19 @@ class Weights:
         return [self.tile_order, nb.get_num_threads(), self.side, self.starts, self.splats, self.masks, self.weights]
 
     def image(self, colors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """`[H, W, C]` of `[N, C]`."""
-        image = np.empty((*self.shape, colors.shape[1]), np.float32)
-        _image(*self._matrix, (0,) * colors.shape[1], np.ascontiguousarray(colors, np.float32).ravel(), image)
-        return image
+        """`[H, W, C]` of `[N, C]`; each channel lies in one piece."""
+        image = np.empty((colors.shape[1], *self.shape), np.float32)
+        arguments: list[Any] = [*self._matrix, (0,) * colors.shape[1], np.ascontiguousarray(colors, np.float32).ravel(), image]
+        _image(*arguments)
+        return image.transpose(1, 2, 0)
 
     def adjoint(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """`[N, C]` of `[H, W, C]`: the transpose."""
-        channels = image.shape[2]
+        planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
+        channels = len(planes)
         sums, out = np.empty(len(self.splats) * channels, np.float32), np.zeros((self.gaussians, channels), np.float32)
-        _adjoint(*self._matrix, (0,) * channels, image, sums)
+        arguments: list[Any] = [*self._matrix, (0,) * channels, planes, sums]
+        _adjoint(*arguments)
         _gather(self.seen, self.seen_starts, self.order, sums, out)
         return out
 
