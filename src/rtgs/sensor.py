@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +23,9 @@ def sensor_pattern(images: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDAr
     """
     if len(images) < _FEWEST_FRAMES or mask.sum() < 100:
         return np.zeros(mask.shape, np.float32)
-    middle = np.median(images, axis=0).astype(np.float64)
+    middle = _median(images, axis=0).astype(np.float64)
     surface = _quadratic(middle, mask)
-    halves = [np.median(images[k::2], axis=0) - surface for k in (0, 1)]
+    halves = [_median(images[k::2], axis=0) - surface for k in (0, 1)]
     pattern = surface - surface[mask].mean()
     for axis in (0, 1):
         levels = _fine_levels(middle - surface, mask, axis)
@@ -55,5 +56,13 @@ def _fine_levels(image: NDArray[np.float64], mask: NDArray[np.bool_], axis: int)
     fine = np.where(mask, filled - gaussian_filter1d(filled, _SMOOTH_PX, axis=axis), np.nan)
     seen = np.asarray(mask.any(axis=1 - axis))
     levels = np.zeros(len(seen))
-    levels[seen] = np.nanmedian(np.compress(seen, fine, axis=axis), axis=1 - axis)
+    levels[seen] = _median(np.compress(seen, fine, axis=axis), axis=1 - axis)
     return levels
+
+
+def _median(values: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Of what is not NaN, which in each line something is; NumPy's own sorts each line by itself."""
+    ordered = np.sort(values, axis=axis)  # NaN last
+    count = np.isfinite(values).sum(axis=axis, keepdims=True)
+    low, high = (np.take_along_axis(ordered, k, axis=axis) for k in ((count - 1) // 2, count // 2))
+    return np.asarray(((low + high) / 2).squeeze(axis))

@@ -10,6 +10,7 @@ import math
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, cast
 
 import numpy as np
 import torch
@@ -34,8 +35,8 @@ from rtgs.sensor import quadratic_terms, sensor_pattern
 # geometry gets wrong is as large in a hundred pixels as in one, and view dependence would make up for it.
 RIDGE_PX = 0.3
 RIDGE_SHARE = 0.01
-RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
-DEFAULT_FACTOR = 0.3  # where there are too few frames to try
+RIDGE_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)  # tried on validation frames
+DEFAULT_FACTOR = 1.0  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
 SETTLED_SHARE = 0.02  # a validation error that an iteration lowered by less
@@ -45,7 +46,7 @@ DRIFT_SHARE = 0.02  # of the error on validation frames must be their own gain's
 DRIFT_FRAMES = 3  # of them be there, their differences
 DRIFT_GAIN = 0.005  # predicted better by this share and by a standard error, and
 LEVEL_LOSS = 1.25  # levels no worse than by this factor
-DRIFT_ITERATIONS = 4
+DRIFT_ITERATIONS = 2
 ITERATIONS = 60
 TOLERANCE = 5e-3
 USUAL_PASSES = 22
@@ -227,15 +228,12 @@ def fit_linear(
     fit = Fit.of(design(levels[0]), data.reduced(levels[0]), median, passes)
     validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
     judge = Judge(fit, validation, fit.surface())
-    kind, first, looks_drifting = first_look(judge, config.drift)
-    images = fit.images(first.x)
+    seen = look(judge, config.drift)
+    kind, x, images = seen.kind, seen.x, fit.images(seen.x)
     pattern = choose_pattern(fit, validation, kind, images)
-    judge = Judge(fit, validation) if pattern is None else replace(judge, fit=fit.without(pattern))
-    tried = choose_ridge(judge, first.x, judge.fit.gauged(kind, images))
-    images = fit.images(tried.x)
-    if config.drift == "auto" and looks_drifting:
-        kind, tried, images = choose_gains(judge, kind, tried, images)
-    x = tried.x
+    if seen.looks_drifting:
+        judge = Judge(fit, validation) if pattern is None else replace(judge, fit=fit.without(pattern))
+        kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
     for level in levels:
         if level != levels[0]:
             fit = clean = replace(fit, design=design(level), data=data.reduced(level))
@@ -244,7 +242,7 @@ def fit_linear(
             pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
         clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
         x, images, drift, history = reweighted(
-            clean, tried.factor, kind, x, images, passes, surface, LAST[level != 1] if validation else ITERATIONS
+            clean, seen.factor, kind, x, images, passes, surface, LAST[level != 1] if validation else ITERATIONS
         )
     if pattern is not None:
         pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
@@ -300,9 +298,11 @@ class Judge:
         return float(self.errors("off", shown).sum())
 
     def is_better(self, kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
+        """In the mean by more than a standard error, and not for the sake of one frame."""
         was = self.errors(kind, before)
         gain = was - self.errors(kind, after)
-        return float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(self.validation) ** 0.5)
+        certain = float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(self.validation) ** 0.5)
+        return certain and float((gain / was.clamp_min(1e-12)).quantile(0.5)) > DRIFT_GAIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,78 +340,75 @@ def solve_until_settled(judge: Judge, problem: Problem, start: Tensor, kinds: Se
     return [Solved(x[:, c : c + 1].clone(), column(c)) for c in range(len(kinds))], errors
 
 
-def first_look(judge: Judge, drift: str) -> tuple[Kind, Solved, bool]:
-    """Under the usual ridge, with nothing known of the sensor's pattern but that it is a common surface nearly.
-
-    Returns:
-        Whether frames have an offset of their own, where `drift` "auto" leaves that open (gains come later); the unknowns that go
-        with the answer; and whether drift is to be looked into further.
-    """
-    fit, start = judge.fit, judge.fit.evidence.prior[:, None]
-    if not judge.validation:
-        return "off" if drift == "auto" else drift, Solved(start, []), False
-    has_offsets = {"auto": (0.0, 1.0), "off": (0.0,)}.get(drift, (1.0,))
-    factors = (DEFAULT_FACTOR,) * len(has_offsets)
-    problem = fit.problem(factors, judge.rest, offsets=torch.tensor(has_offsets), surface=judge.surface)
-    kinds = ["offset" if o else "off" for o in has_offsets]
-    solved, errors = solve_until_settled(judge, problem, start, kinds)
-    if drift != "auto":
-        return drift, solved[0], False
-    without, with_offsets = solved
-    if not judge.is_worth_a_look(without.shown):
-        return "off", without, False
-    allowed = LEVEL_LOSS * float(judge.errors("off", without.shown).sum())
-    if judge.level("offset", fit.images(with_offsets.x)) > allowed:
-        return "off", without, True
-    better = judge.is_better("offset", without.shown, with_offsets.shown)
-    return ("offset", with_offsets, True) if better else ("off", without, True)
-
-
 @dataclass(frozen=True, eq=False)
-class Tried:
-    """What validation frames say of the ridge: the factor with the smallest error; x `[D, 1]` under it, fitted to the other frames."""
+class Look:
+    """What validation frames say of the ridge and of offsets.
+
+    Attributes:
+        factor: of the ridge, with the smallest error.
+        kind: of drift, but for gains, which are decided later.
+        x: `[D, 1]` that go with it, fitted to the other frames.
+        looks_drifting: whether gains are to be looked into.
+    """
 
     factor: float
+    kind: Kind
     x: Tensor
+    looks_drifting: bool
 
 
-def choose_ridge(judge: Judge, start: Tensor, drift: tuple[Kind, Drift]) -> Tried:
-    """The factor with the smallest mean absolute error on frames that the fit did not see, their own gains and offsets taken out."""
+def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
+    """Several ridges side by side, with nothing known of the sensor's pattern but that it is nearly a common surface.
+
+    With `drift` "auto" each frame has an offset of its own, but for one more problem without: by it offsets are judged.
+    """
+    fit, start = judge.fit, judge.fit.evidence.prior[:, None]
+    asks = drift == "auto"
     if not judge.validation:
-        return Tried(DEFAULT_FACTOR, start)
-    problem = judge.fit.problem(RIDGE_FACTORS, judge.rest, drift=drift, surface=judge.surface)
-    solved, errors = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS))
-    chosen = int(errors.argmin())
-    return Tried(RIDGE_FACTORS[chosen], solved[chosen].x)
+        return Look(DEFAULT_FACTOR, "off" if asks else drift, start, False)
+    count = len(RIDGE_FACTORS)
+    factors, kinds = [*RIDGE_FACTORS], [cast(Kind, "offset" if asks else drift)] * count
+    if asks:
+        factors, kinds = [*factors, DEFAULT_FACTOR], [*kinds, "off"]
+    offsets = torch.tensor([float(kind != "off") for kind in kinds])
+    problem = fit.problem(factors, judge.rest, offsets=offsets, surface=judge.surface)
+    solved, errors = solve_until_settled(judge, problem, start, kinds)
+    chosen = int(errors[:count].argmin())
+    factor = RIDGE_FACTORS[chosen]
+    if not asks:
+        return Look(factor, kinds[0], solved[chosen].x, False)
+    without, usual = solved[count], solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)]
+    if not judge.is_worth_a_look(without.shown):
+        return Look(factor, "off", without.x, False)
+    drifts = judge.is_better("offset", without.shown, usual.shown)
+    if drifts:
+        level = judge.level("offset", fit.images(usual.x))
+        drifts = level <= LEVEL_LOSS * float(judge.errors("off", without.shown).sum())
+    return Look(factor, "offset", solved[chosen].x, True) if drifts else Look(factor, "off", without.x, True)
 
 
-def choose_gains(judge: Judge, kind: Kind, tried: Tried, images: list[Tensor]) -> tuple[Kind, Tried, list[Tensor]]:
+def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: list[Tensor]) -> tuple[Kind, Tensor, list[Tensor]]:
     """Whether frames have a gain besides, the sensor's pattern taken out: vignetting that is left in looks like one.
 
     Args:
-        images: of all frames, by `tried`.
+        images: of all frames, by `x`.
     """
-    fit, surface = judge.fit, judge.surface
+    fit = judge.fit
     if not judge.is_worth_a_look(judge.of_validation(images), kind):
-        return kind, tried, images
+        return kind, x, images
 
-    def further(kind: Kind, turns: int) -> tuple[Tensor, list[Tensor]]:
-        x, now = tried.x, images
-        for _ in range(turns):
-            problem = fit.problem((tried.factor,), judge.rest, drift=fit.gauged(kind, now), surface=surface)
-            shown = [i[..., None] for i in now]
-            x = solve(problem, x, iterations=DRIFT_ITERATIONS // turns, shown=shown, each=fit.each).x
-            now = fit.images(x)
-        return x, now
+    def further(kind: Kind) -> tuple[Tensor, list[Tensor]]:
+        problem = fit.problem((factor,), judge.rest, drift=fit.gauged(kind, images), surface=judge.surface)
+        shown = [i[..., None] for i in images]
+        new = solve(problem, x, iterations=DRIFT_ITERATIONS, shown=shown, each=fit.each).x
+        return new, fit.images(new)
 
-    before = further(kind, 1)[1]
-    x, after = further("gain-offset", 2)  # gains alternate, offsets are eliminated
-    if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
-        return kind, tried, images
+    before, (changed, after) = further(kind)[1], further("gain-offset")
     if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
-        return kind, tried, images
-    tried = choose_ridge(judge, x, fit.gauged("gain-offset", after))
-    return "gain-offset", tried, fit.images(tried.x)
+        return kind, x, images
+    if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
+        return kind, x, images
+    return "gain-offset", changed, after
 
 
 def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequence[Tensor]) -> Tensor | None:

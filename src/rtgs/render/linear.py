@@ -65,24 +65,28 @@ class LinearRender:
             if settings.backend == "cpu"
             else _Reference(gaussians, camera, camera_from_world, channels, settings)
         )
-        self.alpha: Tensor = self._backend.alpha
-        self._through = 1.0 - self.alpha
         self.visible: NDArray[np.int32] = self._backend.visible  # which of the N; the others' colours are not looked at
+
+    @property
+    def alpha(self) -> Tensor:
+        """`[H, W]`."""
+        return self._backend.alpha
 
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
         picture = self._backend.image(colors)
-        return picture if background is None else picture.addcmul_(self._through[..., None], background)
+        return picture if background is None else picture.addcmul_((1.0 - self.alpha)[..., None], background)
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
-        background = image.permute(2, 0, 1).flatten(1) @ self._through.flatten()
+        background = image.permute(2, 0, 1).flatten(1) @ (1.0 - self.alpha).flatten()
         return self._backend.adjoint(image), background
 
     def keep_weights(self, within: int) -> None:
         """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
         a quarter of the time. "cpu" only; "reference" goes on as before."""
         self._backend.keep_weights(within)
+        self.visible = self._backend.visible
 
     @property
     def nbytes(self) -> int:
@@ -152,10 +156,20 @@ class _Cpu:
         pose = (np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]))
         nothing, black = np.empty((0, 2), np.float32), np.zeros((len(gaussians), channels), np.float32)
         splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased, reduced)  # type: ignore[arg-type]
-        self._survey = Survey.of(splats)
         self._map: Splats | Weights = splats
-        self.alpha = torch.from_numpy(self._survey.alpha)
+        self._shown: tuple[NDArray[np.float32], NDArray[np.int64]] | None = None  # alpha, and what `Splats.adjoint` needs
         self.visible = np.flatnonzero(splats.tiles).astype(np.int32)
+
+    @property
+    def alpha(self) -> Tensor:
+        return torch.from_numpy(self._alpha_and_used()[0])
+
+    def _alpha_and_used(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        if self._shown is None:  # most often the first picture has brought them along
+            assert isinstance(self._map, Splats)
+            survey = Survey.of(self._map)
+            self._shown = survey.alpha, survey.used
+        return self._shown
 
     def image(self, colors: Tensor) -> Tensor:
         numbers = np.ascontiguousarray(colors.detach().numpy(), dtype=np.float32)
@@ -163,22 +177,29 @@ class _Cpu:
             return torch.from_numpy(self._map.image(numbers))
         splats = replace(self._map, channels=colors.shape[1])
         splats.set_colors(numbers)
-        return torch.from_numpy(splats.blend()[0])
+        image, alpha, used = splats.blend()
+        self._shown = alpha, used
+        return torch.from_numpy(image)
 
     def adjoint(self, image: Tensor) -> Tensor:
         numbers = image.detach().numpy()
         if isinstance(self._map, Weights):
             return torch.from_numpy(self._map.adjoint(numbers))
-        return torch.from_numpy(self._map.adjoint(np.ascontiguousarray(numbers, dtype=np.float32), self._survey.used))
+        return torch.from_numpy(self._map.adjoint(np.ascontiguousarray(numbers, dtype=np.float32), self._alpha_and_used()[1]))
 
     def keep_weights(self, within: int) -> None:
-        if isinstance(self._map, Splats) and self._survey.nbytes + self.alpha.nbytes <= within:
-            self._map = Weights.of(self._map, self._survey)
+        if isinstance(self._map, Weights):
+            return
+        survey = Survey.of(self._map)
+        self._shown = survey.alpha, survey.used
+        if survey.nbytes + survey.alpha.nbytes <= within:
+            self._map = Weights.of(self._map, survey)
             self.visible = self._map.seen
 
     @property
     def nbytes(self) -> int:
-        return self._map.nbytes + self.alpha.nbytes + self.visible.nbytes
+        height, width = self._map.shape
+        return self._map.nbytes + 4 * height * width + self.visible.nbytes
 
 
 class _Reference:
