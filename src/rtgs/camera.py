@@ -80,6 +80,12 @@ class Camera:
         parameters = {k: getattr(self, k) / factor for k in ("fl_x", "fl_y", "cx", "cy")}
         return replace(self, width=self.width // factor, height=self.height // factor, **parameters)
 
+    def rows(self, every: int) -> Camera:
+        """The camera of `picture[every // 2 :: every]`."""
+        first = every // 2
+        height = len(range(first, self.height, every))
+        return replace(self, height=height, fl_y=self.fl_y / every, cy=(self.cy - first - 0.5) / every + 0.5)
+
 
 @dataclass(frozen=True, eq=False)
 class Undistortion:

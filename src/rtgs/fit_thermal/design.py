@@ -32,8 +32,7 @@ class Design:
         gaussians: colours are not looked at.
         poses: camera_from_world, one a frame.
         degree: highest band of the harmonics.
-        reduced: see `LinearRender`.
-        keep_weights: see `LinearViews`; pays for itself after a dozen uses of each view.
+        every: see `LinearRender`. keep_weights: see `LinearViews`; pays for itself after a dozen uses of each view.
     """
 
     def __init__(
@@ -44,7 +43,7 @@ class Design:
         degree: int,
         settings: RenderSettings,
         *,
-        reduced: int = 1,
+        every: int = 1,
         keep_weights: bool = True,
     ) -> None:
         self.gaussians, self.coefficients = len(gaussians), sh.coefficients(degree)
@@ -53,7 +52,7 @@ class Design:
         self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
         self._visible: dict[int, NDArray[np.int32]] = {}  # by frame; views may not be kept
         self._views = LinearViews(
-            gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES, keep_weights=keep_weights, reduced=reduced
+            gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES, keep_weights=keep_weights, every=every
         )
 
     def __len__(self) -> int:

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from rtgs.geometry import SE3
-from rtgs.image import downsample
 from rtgs.radiometry import LinearRange, PlanckRange, ThermalRange
 from rtgs.scene import Frame, Scene
 
@@ -38,7 +37,7 @@ class ThermalFrames:
     Attributes:
         names: of the frames.
         images: `[h, w]` each, in units of the colours; 0 where not valid.
-        valid: `[h, w]`, 1 where a pixel counts and 0 elsewhere; of reduced images how many pixels count. The same for all frames.
+        valid: `[h, w]`, 1 where a pixel counts and 0 elsewhere, the same for all frames.
         poses: camera_from_world of the thermal camera.
     """
 
@@ -57,13 +56,10 @@ class ThermalFrames:
             tuple(scene.thermal_from_world(f.name, sfm_per_metre) for f in frames),
         )
 
-    def reduced(self, factor: int) -> ThermalFrames:
-        """Means over blocks of `factor` × `factor` pixels, each counting as so many; as `Camera.reduced`."""
-        if factor == 1:
-            return self
-        valid = downsample(self.valid, factor)
-        images = [downsample(i * self.valid, factor) / valid.clamp_min(1e-6) for i in self.images]
-        return replace(self, images=tuple(images), valid=factor**2 * valid)
+    def rows(self, every: int) -> ThermalFrames:
+        """Only rows `every // 2 :: every` of the images; as `Camera.rows`."""
+        some = slice(every // 2, None, every)
+        return replace(self, images=tuple(i[some].contiguous() for i in self.images), valid=self.valid[some].contiguous())
 
     def __len__(self) -> int:
         return len(self.names)

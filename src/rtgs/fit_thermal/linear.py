@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from rtgs import sh
-from rtgs.camera import Camera
 from rtgs.config import ThermalConfig
 from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
@@ -26,7 +25,6 @@ from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
 from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
-from rtgs.render import RenderSettings
 from rtgs.scene import Scene
 from rtgs.sensor import quadratic_terms, sensor_pattern
 
@@ -50,8 +48,9 @@ DRIFT_ITERATIONS = 2
 ITERATIONS = 60
 TOLERANCE = 5e-3
 USUAL_PASSES = 22
-LAST = (3, 3)
-FEWEST_PIXELS = 128  # on the shorter side of a reduced photograph
+LAST_ITERATIONS = 6
+PIXELS = 2_800_000  # of all photographs together are looked at, or one row of
+MOST_ROWS = 4
 
 
 class Passes:
@@ -70,10 +69,10 @@ class Passes:
             self._progress(self.total, self.total, self.text)
 
 
-def reductions(camera: Camera, settings: RenderSettings) -> tuple[int, ...]:
-    """By what the photographs are reduced in turn; 1 is the last."""
-    large = min(camera.width, camera.height) >= 2 * FEWEST_PIXELS
-    return (2, 1) if large and settings.backend == "cpu" else (1,)
+def sampling(frames: int, pixels: int) -> int:
+    """Of how many rows of each photograph one is looked at. The others say little that is new: what they see is in other photographs,
+    at other rows."""
+    return min(max(round(frames * pixels / PIXELS), 1), MOST_ROWS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,38 +212,35 @@ class Fit:
 def fit_linear(
     scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
-    """See `fit_thermal`. Everything is decided, and nearly everything solved, on reduced photographs."""
+    """See `fit_thermal`."""
     span = color_range(scene)
-    data = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
+    whole = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
+    every = sampling(len(whole), whole.valid.numel())
+    data = whole.rows(every)
     median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
-    levels = reductions(scene.rig.thermal, rgb_model.settings)
     passes = Passes(len(data) * USUAL_PASSES, progress)
 
-    def design(reduced: int) -> Design:
-        camera, keep = scene.rig.thermal.reduced(reduced), reduced == levels[0]
+    def design(every: int, keep_weights: bool) -> Design:
         gaussians, settings = rgb_model.gaussians.detach(), rgb_model.settings
-        return Design(gaussians, camera, data.poses, config.sh_degree, settings, reduced=reduced, keep_weights=keep)
+        camera, degree = scene.rig.thermal, config.sh_degree
+        return Design(gaussians, camera, data.poses, degree, settings, every=every, keep_weights=keep_weights)
 
-    fit = Fit.of(design(levels[0]), data.reduced(levels[0]), median, passes)
-    validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
-    judge = Judge(fit, validation, fit.surface())
+    fit = Fit.of(design(every, True), data, median, passes)
+    judge = Judge(fit, list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY)), fit.surface())
     seen = look(judge, config.drift)
     kind, x, images = seen.kind, seen.x, fit.images(seen.x)
-    pattern = choose_pattern(fit, validation, kind, images)
+    pattern = choose_pattern(judge, kind, images)
+    judge = replace(judge, surface=None) if pattern is None else replace(judge, fit=fit.without(pattern))
     if seen.looks_drifting:
-        judge = Judge(fit, validation) if pattern is None else replace(judge, fit=fit.without(pattern))
         kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
-    for level in levels:
-        if level != levels[0]:
-            fit = clean = replace(fit, design=design(level), data=data.reduced(level))
-            images = fit.images(x)
-        if pattern is not None:  # of images that no longer have a part in it
-            pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
-        clean, surface = (fit, None) if pattern is None else (fit.without(pattern), fit.surface())
-        x, images, drift, history = reweighted(
-            clean, seen.factor, kind, x, images, passes, surface, LAST[level != 1] if validation else ITERATIONS
-        )
+    if pattern is not None:  # of images that no longer have a part in it
+        judge = replace(judge, fit=fit.without(fit.pattern(fit.drift(kind, images, fit.everywhere)[1])))
+    iterations = LAST_ITERATIONS if judge.validation else ITERATIONS
+    x, images, drift, history = reweighted(judge.fit, seen.factor, iterations, kind, x, images, passes, judge.surface)
     if pattern is not None:
+        if every > 1:
+            fit = replace(fit, design=design(1, False), data=whole)
+            images = fit.images(x)
         pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
     drift, gain, offset = in_gauge(drift)
     x = moved(fit.design, x, gain, median * (1.0 - gain) + offset)
@@ -365,7 +361,7 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
     asks = drift == "auto"
     if not judge.validation:
-        return Look(DEFAULT_FACTOR, "off" if asks else drift, start, False)
+        return Look(DEFAULT_FACTOR, "off" if drift == "auto" else drift, start, False)
     count = len(RIDGE_FACTORS)
     factors, kinds = [*RIDGE_FACTORS], [cast(Kind, "offset" if asks else drift)] * count
     if asks:
@@ -411,7 +407,7 @@ def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: lis
     return "gain-offset", changed, after
 
 
-def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequence[Tensor]) -> Tensor | None:
+def choose_pattern(judge: Judge, kind: Kind, images: Sequence[Tensor]) -> Tensor | None:
     """What the sensor adds to every photograph, as far as photographs that it was not taken from have it too.
 
     Of what a model of the scene leaves, in which the scene itself is small: a wall that stays at the top of all pictures is no vignetting.
@@ -419,6 +415,7 @@ def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequ
     Args:
         images: of all frames, by unknowns that the validation frames had no part in.
     """
+    fit, validation = judge.fit, judge.validation
     if len(validation) < DRIFT_FRAMES:
         return None
     left = fit.drift(kind, images, fit.everywhere)[1]
@@ -432,12 +429,12 @@ def choose_pattern(fit: Fit, validation: Sequence[int], kind: Kind, images: Sequ
 def reweighted(
     fit: Fit,
     factor: float,
+    iterations: int,
     kind: Kind,
     start: Tensor,
     images: list[Tensor],
     passes: Passes,
     surface: Tensor | None = None,
-    iterations: int = 3,
 ) -> tuple[Tensor, list[Tensor], Drift, dict[str, list[float]]]:
     """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]` and its images.
 

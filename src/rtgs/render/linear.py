@@ -34,12 +34,10 @@ class LinearRender:
         gaussians: geometry and opacity; its colours are not looked at.
         channels: C of the colours that will be given, at most; checked here rather than in the middle of long work.
         settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
-        reduced: each pixel stands for the mean of so many squared of the picture that is meant (`Camera.reduced`); drawn at once, which
-            is not quite that mean. "cpu" only.
+        every: only rows `every // 2 :: every` of the picture, H of them.
 
     Raises:
-        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end;
-            `reduced` with "reference".
+        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end.
     """
 
     def __init__(
@@ -50,20 +48,18 @@ class LinearRender:
         *,
         channels: int = 1,
         settings: RenderSettings | None = None,
-        reduced: int = 1,
+        every: int = 1,
     ) -> None:
         settings = settings or RenderSettings()
         check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
         if settings.backend == "cuda":
             raise RtgsError('render: the "cuda" back end has no linear map; use "cpu".')
-        if reduced != 1 and settings.backend != "cpu":
-            raise RtgsError(f'render: the "{settings.backend}" back end draws no reduced pictures; use "cpu".')
-        self.channels, self.shape = channels, (camera.height, camera.width)
+        self.channels, self.shape = channels, (camera.rows(every).height, camera.width)
         self.gaussians = len(gaussians)
         self._backend: _Cpu | _Reference = (
-            _Cpu(gaussians, camera, camera_from_world, channels, settings, reduced)
+            _Cpu(gaussians, camera, camera_from_world, channels, settings, every)
             if settings.backend == "cpu"
-            else _Reference(gaussians, camera, camera_from_world, channels, settings)
+            else _Reference(gaussians, camera, camera_from_world, channels, settings, every)
         )
         self.visible: NDArray[np.int32] = self._backend.visible  # which of the N; the others' colours are not looked at
 
@@ -113,9 +109,9 @@ class LinearViews(Sequence[LinearRender]):
         settings: RenderSettings | None = None,
         budget_bytes: int = 2 << 30,
         keep_weights: bool = False,
-        reduced: int = 1,
+        every: int = 1,
     ) -> None:
-        self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings, reduced=reduced)
+        self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings, every=every)
         self._poses = list(camera_from_world)
         self._kept: dict[int, LinearRender] = {}
         self._left, self._keep_weights = budget_bytes, keep_weights
@@ -145,7 +141,7 @@ class _Cpu:
         camera_from_world: SE3,
         channels: int,
         settings: RenderSettings,
-        reduced: int,
+        every: int,
     ) -> None:
         cpu.check_channels(channels)
         model = tuple(
@@ -155,7 +151,8 @@ class _Cpu:
         matrix = camera_from_world.matrix()
         pose = (np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]))
         nothing, black = np.empty((0, 2), np.float32), np.zeros((len(gaussians), channels), np.float32)
-        splats = Splats.of(model, nothing, black, camera, pose, settings.near_plane, settings.antialiased, reduced)  # type: ignore[arg-type]
+        rows = camera.rows(every)
+        splats = Splats.of(model, nothing, black, rows, pose, settings.near_plane, settings.antialiased, every)  # type: ignore[arg-type]
         self._map: Splats | Weights = splats
         self._shown: tuple[NDArray[np.float32], NDArray[np.int64]] | None = None  # alpha, and what `Splats.adjoint` needs
         self.visible = np.flatnonzero(splats.tiles).astype(np.int32)
@@ -204,14 +201,20 @@ class _Cpu:
 
 class _Reference:
     def __init__(
-        self, gaussians: Gaussians, camera: Camera, camera_from_world: SE3, channels: int, settings: RenderSettings
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        camera_from_world: SE3,
+        channels: int,
+        settings: RenderSettings,
+        every: int,
     ) -> None:
         frozen = gaussians.detach()
         pose = camera_from_world.to_torch(frozen.means.dtype)
         self._colors = torch.zeros(len(frozen), channels, dtype=frozen.means.dtype)
 
-        def draw(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-            return reference.rasterize(
+        def draw(colors: Tensor) -> tuple[Tensor, Tensor]:
+            color, alpha, _ = reference.rasterize(
                 frozen.means,
                 frozen.quats,
                 frozen.log_scales,
@@ -222,6 +225,7 @@ class _Reference:
                 near_plane=settings.near_plane,
                 antialiased=settings.antialiased,
             )
+            return color[every // 2 :: every], alpha[every // 2 :: every]
 
         self._draw = draw
         self.alpha = draw(self._colors)[1]

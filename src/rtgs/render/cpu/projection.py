@@ -160,7 +160,7 @@ def covariance(u):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _project_group(group, rotation, translation, intrinsics, size, near, blur, kept, scratch, out, centres):
+def _project_group(group, rotation, translation, intrinsics, size, near, blur, antialiased, scratch, out, centres):
     """Fill `out`: SLANT … LOG2_OPACITY and the pixel rectangle; `centres` (x, y, low parts); z. Returns the visible lanes as bits."""
     x, y, z = camera_point(group, rotation, translation)
     deep = mask_bits(z > near)
@@ -176,14 +176,14 @@ def _project_group(group, rotation, translation, intrinsics, size, near, blur, k
     sy = held(narrow(y) / depth, intrinsics[3], intrinsics[1], size[1])
     image_square_root(v, intrinsics[0] / depth, intrinsics[1] / depth, sx, sy, u)
     a, b, c, det_sharp = covariance(u)
-    det, det_kept = det_sharp + blur * (a + c) + blur * blur, det_sharp + kept * (a + c) + kept * kept
-    a, c = a + blur, c + blur
+    det = det_sharp + blur[1] * a + blur[0] * c + blur[0] * blur[1]
+    a, c = a + blur[0], c + blur[1]
     slant, eta, kappa = narrow(b / c), narrow((0.5 * _LOG2_E) * c / det), narrow((0.5 * _LOG2_E) / c)
-    fade = narrow(square_root(maximum(det_kept / det, 1e-12)))
+    fade = narrow(square_root(maximum(det_sharp / det, 1e-12)))
     finite = mask_bits(det < np.inf)
     wide, high = narrow(a), narrow(c)
     opacity = 1.0 / (1.0 + exponential(-plane(group, LOGIT)))
-    if kept < blur:
+    if antialiased:
         opacity = opacity * fade
     log_opacity = log2(opacity)
     reach = maximum(log_opacity - LOG2_ALPHA_MIN, 0.0) * (2.0 / _LOG2_E)
@@ -224,7 +224,7 @@ def project(
     side,
     near,
     blur,
-    kept,
+    antialiased,
     splats,
     depths,
     boxes,
@@ -233,8 +233,8 @@ def project(
     """Fill, for visible Gaussians, `splats` `[N · 16]`, `depths` `[N]` and `boxes` `[N, 4]` (first tile column and row, columns,
     rows); for all, `tiles` `[N]`, the number of tiles in the box (0: not visible).
 
-    `offsets` `[N, 2]` or `[0, 2]`, `colors` `[N, C]`. `blur`, px², is added to the covariance; opacity makes up for as much of it as
-    exceeds `kept`.
+    `offsets` `[N, 2]` or `[0, 2]`, `colors` `[N, C]`. `blur` `[2]`, px², is added to the covariance along x and y; with `antialiased`
+    opacity makes up for it.
     """
     n = len(means)
     for chunk in nb.prange(CHUNKS):
@@ -245,7 +245,7 @@ def project(
             count = min(LANES, stop - first)
             for lane in range(count):
                 gather(lane, first + lane, means, quats, log_scales, opacity_logits, offsets, group)
-            bits = _project_group(group, rotation, translation, intrinsics, size, near, blur, kept, scratch, out, centres)
+            bits = _project_group(group, rotation, translation, intrinsics, size, near, blur, antialiased, scratch, out, centres)
             for lane in range(count):
                 i = first + lane
                 if not (bits >> lane) & 1:

@@ -72,21 +72,20 @@ class Splats:
         pose: Pose,
         near_plane: float,
         antialiased: bool,
-        reduced: int = 1,
+        every: int = 1,
     ) -> Splats:
         """Project and sort. `offsets` `[N, 2]` or `[0, 2]` are added to the pixel centres; colors `[N, C]`.
 
         Args:
-            reduced: each pixel of `camera` stands for the mean of so many squared. Splats are as wide as in these, and a box wider.
+            every: `camera` sees one row of so many (`Camera.rows`): splats are as wide and high as in whole pictures.
         """
         n, side = len(colors), tile_side(camera.width, camera.height)
         view = (np.array([camera.fl_x, camera.fl_y, camera.cx, camera.cy]), np.array([camera.width, camera.height], np.float64))
         rows, depths = np.empty(n * SPLAT, np.float32), np.empty(n, np.float32)
         counts, boxes = np.empty(n, np.int32), np.empty((n, 4), np.int16)
         arguments: list[Any] = [*model, offsets, colors, *pose, *view, side, float(near_plane)]
-        blur = (COVARIANCE_BLUR_PX2 + (reduced**2 - 1) / 12) / reduced**2
-        arguments += [blur, 0.0 if antialiased else COVARIANCE_BLUR_PX2 / reduced**2]
-        arguments += [rows, depths, boxes, counts]
+        blur = np.array([COVARIANCE_BLUR_PX2, COVARIANCE_BLUR_PX2 / every**2])
+        arguments += [blur, antialiased, rows, depths, boxes, counts]
         projection.project(*arguments)
         order, pair_starts = tiles.depth_order(depths.view(np.uint32), counts)
         columns, lines = -(-camera.width // side), -(-camera.height // side)
