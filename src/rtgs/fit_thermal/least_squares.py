@@ -24,6 +24,7 @@ class Problem:
         images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
         offsets: `[C]`, 1 for a problem in which each frame has an offset of its own, 0 where they are 0; None: 0 everywhere.
         surface: `[h, w, B]`, of which all frames may have any one combination added; None: none.
+        surfaces: `[C]`, 1 for a problem that has it; None: 1 everywhere.
         ridge, prior: `[D, C]`.
         inverses, background: the preconditioner (see `preconditioner`).
     """
@@ -38,6 +39,7 @@ class Problem:
     inverses: Tensor
     background: float
     surface: Tensor | None = None
+    surfaces: Tensor | None = None
 
     def gradient(
         self, x: Tensor, each: Callable[[], None] = lambda: None, shown: Sequence[Tensor] | None = None
@@ -81,7 +83,8 @@ class Problem:
         kept = [(image, self._weighted(f, image)) for f, image in zip(self.frames, images, strict=True)]
         planes, zero = self.surface.permute(2, 0, 1).flatten(1), torch.zeros(self.surface.shape[2], self.ridge.shape[1])
         right = sum((planes @ w.flatten(0, 1) for _, w in kept), zero)
-        common = self.surface @ torch.einsum("cbd,dc->bc", self._surfaces, right)
+        amounts = torch.einsum("cbd,dc->bc", self._surface_inverses, right)
+        common = self.surface @ (amounts if self.surfaces is None else amounts * self.surfaces)
         subtracted: dict[int, Tensor] = {}  # by weights: most often all frames have the same
         for f, (image, weighted) in zip(self.frames, kept, strict=True):
             key = id(self.weights[f])
@@ -90,7 +93,7 @@ class Problem:
             yield image, weighted.sub_(subtracted[key])
 
     @cached_property
-    def _surfaces(self) -> Tensor:
+    def _surface_inverses(self) -> Tensor:
         """`[C, B, B]`: inverse of the normal matrix of the surface alone, without or with offsets besides."""
         assert self.surface is not None
         surface = self.surface

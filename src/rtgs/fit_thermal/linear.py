@@ -10,7 +10,7 @@ import math
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 import torch
@@ -42,7 +42,7 @@ HUBER = 0.5  # residuals count by their square up to so many root mean squares, 
 ROUNDS = 1  # of reweighting
 DRIFT_SHARE = 0.02  # of the error on validation frames must be their own gain's and offset's for drift to be looked into; so many
 DRIFT_FRAMES = 3  # of them be there, their differences
-DRIFT_GAIN = 0.005  # predicted better by this share and by a standard error, and
+CLEAR = 0.005  # predicted better by this share and by a standard error, and
 LEVEL_LOSS = 1.25  # levels no worse than by this factor
 DRIFT_ITERATIONS = 2
 ITERATIONS = 60
@@ -144,9 +144,10 @@ class Fit:
         drift: tuple[Kind, Drift] | None = None,
         offsets: Tensor | None = None,
         surface: Tensor | None = None,
+        surfaces: Tensor | None = None,
     ) -> Problem:
         """Ridges side by side; `weights` None: the valid pixels. Gains count as known, offsets as unknown; `offsets`: in which problems
-        there are any, without drift. `surface`: see `Problem`."""
+        there are any, without drift. `surface`, `surfaces`: see `Problem`."""
         weights = self.everywhere if weights is None else weights
         photographs = [y[..., None] for y in self.data.images]
         if drift is not None and drift[0] == "gain-offset":
@@ -160,7 +161,7 @@ class Fit:
         prior = self.evidence.prior[:, None].expand(-1, len(factors))
         if drift is not None and drift[0] != "off":
             offsets = torch.ones(len(factors))
-        return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background, surface)
+        return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background, surface, surfaces)
 
     def images(self, x: Tensor) -> list[Tensor]:
         """`[h, w]` a frame, of unknowns `[D, 1]`."""
@@ -229,7 +230,7 @@ def fit_linear(
     judge = Judge(fit, list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY)), fit.surface())
     seen = look(judge, config.drift)
     kind, x, images = seen.kind, seen.x, fit.images(seen.x)
-    pattern = choose_pattern(judge, kind, images)
+    pattern = choose_pattern(judge, seen, images)
     judge = replace(judge, surface=None) if pattern is None else replace(judge, fit=fit.without(pattern))
     if seen.looks_drifting:
         kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
@@ -294,11 +295,15 @@ class Judge:
         return float(self.errors("off", shown).sum())
 
     def is_better(self, kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
-        """In the mean by more than a standard error, and not for the sake of one frame."""
-        was = self.errors(kind, before)
-        gain = was - self.errors(kind, after)
-        certain = float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), float(gain.std()) / len(self.validation) ** 0.5)
-        return certain and float((gain / was.clamp_min(1e-12)).quantile(0.5)) > DRIFT_GAIN
+        return clearly_less(self.errors(kind, after), self.errors(kind, before))
+
+
+def clearly_less(errors: Tensor, before: Tensor) -> bool:
+    """Of the validation frames `[F]`: in the mean, by more than a standard error; and in most, not for the sake of one."""
+    gain = before - errors
+    certain = float(gain.std()) / len(gain) ** 0.5
+    share = (gain / before.clamp_min(1e-12)).quantile(0.5)
+    return float(gain.mean()) > max(CLEAR * float(before.mean()), certain) and float(share) > CLEAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,42 +350,46 @@ class Look:
         kind: of drift, but for gains, which are decided later.
         x: `[D, 1]` that go with it, fitted to the other frames.
         looks_drifting: whether gains are to be looked into.
+        with_surface, without: the usual ridge, each frame with an offset of its own where `kind` is still open.
     """
 
     factor: float
     kind: Kind
     x: Tensor
     looks_drifting: bool
+    with_surface: Solved
+    without: Solved
 
 
 def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
-    """Several ridges side by side, with nothing known of the sensor's pattern but that it is nearly a common surface.
-
-    With `drift` "auto" each frame has an offset of its own, but for one more problem without: by it offsets are judged.
+    """Several ridges side by side, with nothing known of the sensor's pattern but that it is nearly a common surface; one more problem
+    without that surface, by which the pattern is judged; and with `drift` "auto" one without offsets, by which these are.
     """
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
-    asks = drift == "auto"
+    open_kind: Kind = "offset" if drift == "auto" else drift
     if not judge.validation:
-        return Look(DEFAULT_FACTOR, "off" if drift == "auto" else drift, start, False)
-    count = len(RIDGE_FACTORS)
-    factors, kinds = [*RIDGE_FACTORS], [cast(Kind, "offset" if asks else drift)] * count
-    if asks:
-        factors, kinds = [*factors, DEFAULT_FACTOR], [*kinds, "off"]
-    offsets = torch.tensor([float(kind != "off") for kind in kinds])
-    problem = fit.problem(factors, judge.rest, offsets=offsets, surface=judge.surface)
+        nothing = Solved(start, [])
+        return Look(DEFAULT_FACTOR, "off" if drift == "auto" else drift, start, False, nothing, nothing)
+    count, more = len(RIDGE_FACTORS), 2 if drift == "auto" else 1
+    factors = [*RIDGE_FACTORS, *[DEFAULT_FACTOR] * more]
+    kinds: list[Kind] = [*[open_kind] * (count + 1), "off"][: count + more]
+    offsets, surfaces = torch.tensor([float(kind != "off") for kind in kinds]), torch.ones(count + more)
+    surfaces[count] = 0.0
+    problem = fit.problem(factors, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
     solved, errors = solve_until_settled(judge, problem, start, kinds)
     chosen = int(errors[:count].argmin())
-    factor = RIDGE_FACTORS[chosen]
-    if not asks:
-        return Look(factor, kinds[0], solved[chosen].x, False)
-    without, usual = solved[count], solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)]
-    if not judge.is_worth_a_look(without.shown):
-        return Look(factor, "off", without.x, False)
-    drifts = judge.is_better("offset", without.shown, usual.shown)
+    usual = solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)]
+    found = Look(RIDGE_FACTORS[chosen], open_kind, solved[chosen].x, False, usual, solved[count])
+    if drift != "auto":
+        return found
+    steady = solved[count + 1]
+    if not judge.is_worth_a_look(steady.shown):
+        return replace(found, kind="off", x=steady.x)
+    drifts = judge.is_better("offset", steady.shown, usual.shown)
     if drifts:
         level = judge.level("offset", fit.images(usual.x))
-        drifts = level <= LEVEL_LOSS * float(judge.errors("off", without.shown).sum())
-    return Look(factor, "offset", solved[chosen].x, True) if drifts else Look(factor, "off", without.x, True)
+        drifts = level <= LEVEL_LOSS * float(judge.errors("off", steady.shown).sum())
+    return replace(found, looks_drifting=True) if drifts else replace(found, kind="off", x=steady.x, looks_drifting=True)
 
 
 def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: list[Tensor]) -> tuple[Kind, Tensor, list[Tensor]]:
@@ -407,23 +416,23 @@ def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: lis
     return "gain-offset", changed, after
 
 
-def choose_pattern(judge: Judge, kind: Kind, images: Sequence[Tensor]) -> Tensor | None:
-    """What the sensor adds to every photograph, as far as photographs that it was not taken from have it too.
+def choose_pattern(judge: Judge, seen: Look, images: Sequence[Tensor]) -> Tensor | None:
+    """What the sensor adds to every photograph, as far as photographs that it was not taken from are predicted better with it.
 
-    Of what a model of the scene leaves, in which the scene itself is small: a wall that stays at the top of all pictures is no vignetting.
+    Of what a model of the scene leaves, in which the scene itself is small; and against a model that may explain the surface itself: a
+    wall that stays at the top of all pictures is no vignetting.
 
     Args:
-        images: of all frames, by unknowns that the validation frames had no part in.
+        images: of all frames, by `seen.x`.
     """
     fit, validation = judge.fit, judge.validation
     if len(validation) < DRIFT_FRAMES:
         return None
-    left = fit.drift(kind, images, fit.everywhere)[1]
-    pattern = fit.pattern([r for f, r in enumerate(left) if f not in validation])
-    was = torch.stack([(fit.data.valid * left[f].abs()).sum() for f in validation])
-    gain = was - torch.stack([(fit.data.valid * (left[f] - pattern).abs()).sum() for f in validation])
-    certain = float(gain.std()) / len(validation) ** 0.5
-    return pattern if float(gain.mean()) > max(DRIFT_GAIN * float(was.mean()), certain) else None
+    left = fit.drift(seen.kind, images, fit.everywhere)[1]
+    pattern = fit.pattern([left[f] for f in judge.rest])
+    before = fit.errors("gain-offset", validation, seen.without.shown)
+    errors = fit.without(pattern).errors("gain-offset", validation, seen.with_surface.shown)
+    return pattern if clearly_less(errors, before) else None
 
 
 def reweighted(
