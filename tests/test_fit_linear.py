@@ -190,22 +190,44 @@ def test_what_a_surface_can_explain_is_no_error() -> None:
         assert (bent.errors(kind, frames, images) > 1.2 * fit.errors(kind, frames, images)).all()  # type: ignore[arg-type]
 
 
-def test_half_the_size_first_leads_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is decided and mostly solved on reduced photographs ends where the whole ones lead; drift and vignetting go with it."""
+def test_a_problem_without_the_surface_goes_beside_those_with_it() -> None:
+    """Each as if it were alone, with and without offsets; so does the settled answer."""
+    scene, rgb, _ = ring()
+    fit = least_squares(changed(scene, lambda i, t: t + 2.0 * np.linspace(-1, 1, t.shape[1]) ** 2 + 0.3 * (i % 5)), rgb)
+    frames, surface = range(len(fit.data)), fit.surface()
+    offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
+    together = fit.problem((0.3,) * 3, frames, offsets=offsets, surface=surface, surfaces=surfaces)
+    found = solve(together, together.prior, iterations=4).x
+    for c in range(3):
+        own = surface if surfaces[c] else None
+        alone = fit.problem((0.3,), frames, offsets=offsets[c : c + 1], surface=own)
+        torch.testing.assert_close(found[:, c : c + 1], solve(alone, alone.prior, iterations=4).x, atol=1e-4, rtol=0)
+    assert not torch.allclose(found[:, 0], found[:, 1], atol=1e-2) and not torch.allclose(found[:, 0], found[:, 2], atol=1e-2)
+
+
+def test_one_row_of_several_leads_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there are many photographs: what some rows say leads where all of them lead; drift and vignetting go with it."""
     scene, rgb, _ = ring()
     vignetting = 1.5 * np.linspace(-1, 1, RIG.thermal.width) ** 2 + np.zeros((RIG.thermal.height, 1))
     capture = changed(scene, lambda i, t: t + vignetting + 0.8 * math.sin(0.4 * i))
-    linear = importlib.import_module("rtgs.fit_thermal.linear")
-    assert linear.reductions(RIG.thermal, rgb.settings) == (1,)
-    errors = []
-    for fewest in (1000, 15):
-        monkeypatch.setattr(linear, "FEWEST_PIXELS", fewest)
+    linear, errors = importlib.import_module("rtgs.fit_thermal.linear"), []
+    pixels = RIG.thermal.width * RIG.thermal.height
+    assert linear.sampling(len(scene.train_frames), pixels) == 1
+    for most, every in ((linear.PIXELS, 1), (28 * pixels // 3, 3)):
+        monkeypatch.setattr(linear, "PIXELS", most)
+        assert linear.sampling(28, pixels) == every
         model = fit_thermal(capture, rgb, SFM_PER_METRE, ThermalConfig(drift="offset"))
-        assert model.pattern is not None
+        assert model.pattern is not None and model.pattern.shape == vignetting.shape
+        assert (model.pattern - vignetting).std() < 0.1 * vignetting.std()
         errors.append(_differences(model, scene))
-    assert linear.reductions(RIG.thermal, rgb.settings) == (2, 1)
-    # Of photographs of 18 × 15 pixels, and three iterations on whole ones.
     assert errors[1] < 2.5 * errors[0] and errors[1] < 0.1
+
+
+def test_how_many_rows_are_looked_at() -> None:
+    linear = importlib.import_module("rtgs.fit_thermal.linear")
+    assert linear.sampling(12, 160 * 120) == 1
+    assert linear.sampling(35, 640 * 512) == 4
+    assert linear.sampling(5000, 640 * 512) == linear.MOST_ROWS
 
 
 def _differences(model: ThermalModel, scene: Scene) -> float:
@@ -217,16 +239,16 @@ def _differences(model: ThermalModel, scene: Scene) -> float:
     return float(np.mean(left))
 
 
-def test_a_reduced_photograph_is_the_mean_of_blocks_and_counts_as_much() -> None:
-    fit = least_squares(*ring()[:2])
-    valid = fit.data.valid.clone()
-    valid[:7, :9] = 0.0
-    data = replace(fit.data, images=tuple(i * valid for i in fit.data.images), valid=valid)
-    small = data.reduced(2)
-    assert float(small.valid.sum()) == float(valid.sum())
-    for whole, half in zip(data.images, small.images, strict=True):
-        assert float((half * small.valid).sum()) == pytest.approx(float(whole.sum()), rel=1e-5)
-    assert small.images[0][5, 6] == pytest.approx(float(data.images[0][10:12, 12:14].mean()), rel=1e-5)
+def test_rows_of_photographs_are_those_of_the_camera() -> None:
+    """`ThermalFrames.rows` and a design with `every` mean the same rows."""
+    scene, rgb, _ = ring()
+    fit = least_squares(scene, rgb)
+    some, design = fit.data.rows(3), Design(rgb.gaussians, RIG.thermal, fit.data.poses, 1, rgb.settings, every=3)
+    x = fit.evidence.prior[:, None]
+    for f in (0, 5):
+        torch.testing.assert_close(design.image(f, x), fit.design.image(f, x)[1::3], atol=2e-4, rtol=0)
+        assert torch.equal(some.images[f], fit.data.images[f][1::3])
+    assert torch.equal(some.valid, fit.data.valid[1::3])
 
 
 def test_a_solved_problem_stays() -> None:

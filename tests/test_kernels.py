@@ -79,6 +79,23 @@ def test_sums_and_masks(seed: int) -> None:
     assert any_above == (x > 2).any() and widened == pytest.approx(x.astype(np.float64).sum(), abs=1e-13) and numbers == 120
 
 
+@nb.njit
+def _to_uint16_and_back(x, short, back):
+    for at in range(0, len(x), LANES):
+        simd.store_uint16(short, at, load(x, at))
+        store(back, at, simd.load_uint16(short, at))
+
+
+def test_numbers_of_sixteen_bits() -> None:
+    x = np.concatenate([[0.0, 0.99, 1.0, 32767.5, 32768.0, 65535.0, 65535.9, 255.5], np.linspace(0, 65535, 152)]).astype(
+        np.float32
+    )
+    short, back = np.empty(160, np.uint16), np.empty(160, np.float32)
+    _to_uint16_and_back(x, short, back)
+    np.testing.assert_array_equal(short, np.floor(x))
+    np.testing.assert_array_equal(back, np.floor(x))
+
+
 @pytest.mark.parametrize("spread", [0.0, 1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("n", [0, 1, 17, 5000])
 def test_depth_order_is_a_stable_sort(n: int, spread: float) -> None:

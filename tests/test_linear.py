@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import pytest
 import torch
 
 from rtgs.errors import RtgsError
 from rtgs.geometry import SE3
-from rtgs.image import downsample
 from rtgs.render import LinearRender, LinearViews, RenderSettings, render
 from rtgs.sh import C0
 from test_render import POSE, assert_close, cloud, pinhole
@@ -113,18 +113,92 @@ def test_what_cannot_be_done_is_refused() -> None:
         LinearRender(cloud(3), pinhole(20, 20), POSE, channels=9)
     with pytest.raises(RtgsError, match=r"cuda"):
         LinearRender(cloud(3), pinhole(20, 20), POSE, settings=RenderSettings(backend="cuda"))
-    with pytest.raises(RtgsError, match=r"reduced"):
-        LinearRender(cloud(3), pinhole(20, 20), POSE, settings=RenderSettings(backend="reference"), reduced=2)
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_reduced_is_the_mean_of_blocks(antialiased: bool) -> None:
-    """Much nearer to it than a picture that is merely drawn small; thin Gaussians, where the blur of a pixel matters."""
-    model, camera = cloud(400, size=0.006), pinhole(160, 96)
-    chosen = settings("cpu", antialiased=antialiased)
-    colors = torch.rand(400, 1, generator=torch.Generator().manual_seed(2))
-    whole = downsample(LinearRender(model, camera, POSE, settings=chosen).image(colors), 2)
-    small = LinearRender(model, camera.reduced(2), POSE, settings=chosen, reduced=2).image(colors)
-    plain = LinearRender(model, camera.reduced(2), POSE, settings=chosen).image(colors)
-    assert (small - whole).norm() < 0.15 * whole.norm()
-    assert (small - whole).norm() < 0.5 * (plain - whole).norm()
+@pytest.mark.parametrize("every", [2, 3, 4])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_some_rows_are_those_of_the_whole_picture(backend: str, every: int, antialiased: bool) -> None:
+    """Thin Gaussians, where it shows whether they are blurred as in whole pictures; the transpose is that of leaving rows out."""
+    dtype = torch.float32 if backend == "cpu" else torch.float64
+    model, camera = cloud(250, size=0.01).to(dtype), pinhole(75, 46)
+    chosen, rows = settings(backend, antialiased=antialiased), slice(every // 2, None, every)
+    whole, some = (LinearRender(model, camera, POSE, channels=2, settings=chosen, every=k) for k in (1, every))
+    g = torch.Generator().manual_seed(2)
+    colors, background = torch.randn(250, 2, generator=g).to(dtype), torch.randn(2, generator=g).to(dtype)
+    picture = whole.image(colors, background)[rows]
+    assert some.shape == tuple(picture.shape[:2]) and picture.abs().max() > 0.5
+    assert_close(some.image(colors, background), picture, 1e-4, "image")
+    assert_close(some.alpha, whole.alpha[rows], 1e-4, "alpha")
+    y = torch.randn(picture.shape, generator=g).to(dtype)
+    padded = torch.zeros(46, 75, 2, dtype=dtype)
+    padded[rows] = y
+    for a, b in zip(some.adjoint(y), whole.adjoint(padded), strict=True):
+        assert_close(a, b, 1e-4, "adjoint")
+
+
+def kept(view: LinearRender) -> LinearRender:
+    before = view.nbytes
+    view.keep_weights(1 << 30)
+    assert view.nbytes != before
+    return view
+
+
+@pytest.mark.parametrize(("width", "height"), [(150, 90), (16, 16), (37, 5), (700, 450)])
+@pytest.mark.parametrize("channels", [1, 2, 5])
+def test_kept_weights_are_the_same_map_but_for_rounding(channels: int, width: int, height: int) -> None:
+    """Whole and partial patches, tiles of all sizes; the transpose is exactly that of the rounded weights."""
+    model, camera = cloud(400, size=0.05), pinhole(width, height)
+    plain, view = LinearRender(model, camera, POSE, channels=channels), kept(LinearRender(model, camera, POSE, channels=channels))
+    g = torch.Generator().manual_seed(7)
+    colors, background = torch.randn(400, channels, generator=g), torch.randn(channels, generator=g)
+    y = torch.randn(height, width, channels, generator=g)
+    image, (back, back_background) = view.image(colors, background), view.adjoint(y)
+    assert (image - plain.image(colors, background)).abs().max() < 40 * 3 / 65535  # so many Gaussians a pixel, of colours up to 3
+    expected, expected_background = plain.adjoint(y)
+    assert_close(back, expected, 1e-4 * float(expected.abs().max()), "adjoint")
+    assert_close(back_background, expected_background, 1e-4, "background")
+    forwards = (image.double() * y.double()).sum()
+    backwards = (back.double() * colors.double()).sum() + (back_background.double() * background.double()).sum()
+    assert abs(forwards - backwards) <= 1e-6 * image.double().norm() * y.double().norm()
+    assert torch.equal(view.alpha, plain.alpha)
+    assert set(view.visible) <= set(plain.visible) and not back[[i for i in range(400) if i not in set(view.visible)]].any()
+    # Channels in one piece each are taken as they are, others are copied.
+    assert torch.equal(view.adjoint(y.permute(2, 0, 1).contiguous().permute(1, 2, 0))[0], back)
+
+
+def test_kept_weights_do_not_depend_on_threads() -> None:
+    threads, found = numba.get_num_threads(), []
+    g = torch.Generator().manual_seed(1)
+    colors, y = torch.randn(300, 2, generator=g), torch.randn(120, 160, 2, generator=g)
+    try:
+        for n in (1, threads):
+            numba.set_num_threads(n)
+            view = kept(LinearRender(cloud(300, size=0.1), pinhole(160, 120), POSE, channels=2))
+            found.append((view.image(colors), view.adjoint(y)[0]))
+    finally:
+        numba.set_num_threads(threads)
+    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
+
+
+def test_weights_are_kept_with_what_the_lists_leave() -> None:
+    model, camera = cloud(200, size=0.05), pinhole(70, 50)
+    poses = [SE3(POSE.rotation, POSE.translation + torch.tensor([0.02 * k, 0.0, 0.0])) for k in range(4)]
+    lists, weights = LinearRender(model, camera, poses[0]), kept(LinearRender(model, camera, poses[0]))
+    assert weights.nbytes > lists.nbytes
+    refused = LinearRender(model, camera, poses[0])
+    refused.keep_weights(weights.nbytes // 2)
+    assert refused.nbytes == lists.nbytes
+    budget = int(2.5 * weights.nbytes + 2.5 * lists.nbytes)
+    views = LinearViews(model, camera, poses, budget_bytes=budget, keep_weights=True)
+    sizes = [views[k].nbytes for k in range(4)]
+    assert all(views[k] is views[k] for k in range(4)) and sum(sizes) <= budget
+    assert min(sizes[:2]) > max(sizes[2:])
+    plain = [LinearViews(model, camera, poses, budget_bytes=budget)[k].nbytes for k in range(4)]
+    assert sizes[2:] == plain[2:]
+
+
+def test_no_weights_to_keep() -> None:
+    view = LinearRender(cloud(0), pinhole(20, 18), POSE)
+    view.keep_weights(1 << 20)
+    assert not view.image(torch.zeros(0, 1)).any() and view.adjoint(torch.ones(18, 20, 1))[0].shape == (0, 1)

@@ -10,7 +10,7 @@ import math
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 import torch
@@ -33,22 +33,22 @@ from rtgs.sensor import quadratic_terms, sensor_pattern
 # geometry gets wrong is as large in a hundred pixels as in one, and view dependence would make up for it.
 RIDGE_PX = 0.3
 RIDGE_SHARE = 0.01
-RIDGE_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)  # tried on validation frames
-DEFAULT_FACTOR = 1.0  # where there are too few frames to try
+RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
+DEFAULT_FACTOR = 0.3  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
-SETTLED_SHARE = 0.02  # a validation error that an iteration lowered by less
+SETTLED_SHARE = 0.02  # a validation error that an iteration lowered by less; two iterations, where they are not the first
 HUBER = 0.5  # residuals count by their square up to so many root mean squares, beyond by their size
 ROUNDS = 1  # of reweighting
-DRIFT_SHARE = 0.02  # of the error on validation frames must be their own gain's and offset's for drift to be looked into; so many
-DRIFT_FRAMES = 3  # of them be there, their differences
-CLEAR = 0.005  # predicted better by this share and by a standard error, and
-LEVEL_LOSS = 1.25  # levels no worse than by this factor
+OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
+DRIFT_FRAMES = 3  # so many of them be there
+CLEAR = 0.005  # predicted better: by this share, and by a standard error
+LEVEL_LOSS = 1.25  # differences are; levels are no worse than by this factor
 DRIFT_ITERATIONS = 2
 ITERATIONS = 60
 TOLERANCE = 5e-3
 USUAL_PASSES = 22
-LAST_ITERATIONS = 6
+LAST_ITERATIONS = 3  # beyond what validation frames found to be enough
 PIXELS = 2_800_000  # of all photographs together are looked at, or one row of
 MOST_ROWS = 4
 
@@ -234,10 +234,17 @@ def fit_linear(
     judge = replace(judge, surface=None) if pattern is None else replace(judge, fit=fit.without(pattern))
     if seen.looks_drifting:
         kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
+    factor, iterations = seen.factor, seen.iterations
+    if kind != seen.tried:
+        if kind == "gain-offset":
+            x, images = further(judge, factor, kind, x, images)
+        factor, iterations, x = choose_ridge(judge, x, judge.fit.gauged(kind, images))
+        images = fit.images(x)
     if pattern is not None:  # of images that no longer have a part in it
         judge = replace(judge, fit=fit.without(fit.pattern(fit.drift(kind, images, fit.everywhere)[1])))
-    iterations = LAST_ITERATIONS if judge.validation else ITERATIONS
-    x, images, drift, history = reweighted(judge.fit, seen.factor, iterations, kind, x, images, passes, judge.surface)
+    x, images, drift, history = reweighted(
+        judge.fit, factor, iterations + LAST_ITERATIONS, kind, x, images, passes, judge.surface
+    )
     if pattern is not None:
         if every > 1:
             fit = replace(fit, design=design(1, False), data=whole)
@@ -276,11 +283,11 @@ class Judge:
     def errors(self, kind: Kind, shown: Sequence[Tensor]) -> Tensor:
         return self.fit.errors(kind, self.validation, shown, self.surface)
 
-    def is_worth_a_look(self, shown: Sequence[Tensor], kind: Kind = "off") -> bool:
-        """Whether enough of the error that `kind` leaves goes with gains and offsets of the validation frames' own."""
+    def is_worth_a_look(self, shown: Sequence[Tensor], kind: Kind, share: float) -> bool:
+        """Whether so much of the error that `kind` leaves goes with gains and offsets of the validation frames' own."""
         if len(self.validation) < DRIFT_FRAMES:
             return False
-        return float(self.errors("gain-offset", shown).sum()) <= (1.0 - DRIFT_SHARE) * float(self.errors(kind, shown).sum())
+        return float(self.errors("gain-offset", shown).sum()) <= (1.0 - share) * float(self.errors(kind, shown).sum())
 
     def level(self, kind: Kind, images: Sequence[Tensor]) -> float:
         """Error of the validation frames with the drift that the other frames let expect, of images of all frames."""
@@ -314,31 +321,33 @@ class Solved:
     shown: Sequence[Tensor]
 
 
-def solve_until_settled(judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind]) -> tuple[list[Solved], Tensor]:
-    """Until an iteration does little for the error of the validation frames, which `problem` leaves out; start `[D, 1]`.
+def solve_until_settled(
+    judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind], after: int = 1
+) -> tuple[list[Solved], Tensor, int]:
+    """Until `after` iterations do little for the error of the validation frames, which `problem` leaves out; start `[D, 1]`.
 
     Returns:
-        The problems' solutions and errors `[C]`, of each of its own kind.
+        The problems' solutions and errors `[C]`, of each of its own kind; and how many iterations it took.
     """
     fit, frames = judge.fit, judge.validation
     shown: dict[int, Tensor] = {}
-    errors, best = torch.zeros(len(kinds)), math.inf
+    errors, best = torch.zeros(len(kinds)), [math.inf] * after
 
     def column(c: int) -> list[Tensor]:
         return [shown[f][..., c] for f in frames]
 
     def settled(x: Tensor) -> bool:
-        nonlocal best
         for f in frames:
             shown[f] = fit.design.image(f, x)
             fit.each()
         for c, kind in enumerate(kinds):
             errors[c] = judge.errors(kind, column(c)).sum()
-        before, best = best, float(errors.min())
-        return best > (1.0 - SETTLED_SHARE) * before
+        best.append(float(errors.min()))
+        return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - after]
 
-    x = solve(problem, start.expand(-1, len(kinds)), iterations=ITERATIONS, settled=settled, each=fit.each).x
-    return [Solved(x[:, c : c + 1].clone(), column(c)) for c in range(len(kinds))], errors
+    solution = solve(problem, start.expand(-1, len(kinds)), iterations=ITERATIONS, settled=settled, each=fit.each)
+    solved = [Solved(solution.x[:, c : c + 1].clone(), column(c)) for c in range(len(kinds))]
+    return solved, errors, solution.iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,7 +355,7 @@ class Look:
     """What validation frames say of the ridge and of offsets.
 
     Attributes:
-        factor: of the ridge, with the smallest error.
+        factor, iterations, tried: of the ridge, with the smallest error; that were enough; the drift of the problems that say so.
         kind: of drift, but for gains, which are decided later.
         x: `[D, 1]` that go with it, fitted to the other frames.
         looks_drifting: whether gains are to be looked into.
@@ -354,6 +363,8 @@ class Look:
     """
 
     factor: float
+    iterations: int
+    tried: Kind
     kind: Kind
     x: Tensor
     looks_drifting: bool
@@ -362,34 +373,48 @@ class Look:
 
 
 def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
-    """Several ridges side by side, with nothing known of the sensor's pattern but that it is nearly a common surface; one more problem
-    without that surface, by which the pattern is judged; and with `drift` "auto" one without offsets, by which these are.
+    """Several ridges side by side, each frame with an offset of its own, and nothing known of the sensor's pattern but that it is nearly
+    a common surface; one more problem without that surface, by which the pattern is judged, and one without offsets, by which these are.
+
+    Args:
+        drift: what to say of it, if not "auto".
     """
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
-    open_kind: Kind = "offset" if drift == "auto" else drift
     if not judge.validation:
-        nothing = Solved(start, [])
-        return Look(DEFAULT_FACTOR, "off" if drift == "auto" else drift, start, False, nothing, nothing)
-    count, more = len(RIDGE_FACTORS), 2 if drift == "auto" else 1
-    factors = [*RIDGE_FACTORS, *[DEFAULT_FACTOR] * more]
-    kinds: list[Kind] = [*[open_kind] * (count + 1), "off"][: count + more]
-    offsets, surfaces = torch.tensor([float(kind != "off") for kind in kinds]), torch.ones(count + more)
-    surfaces[count] = 0.0
+        kind: Kind = "off" if drift == "auto" else drift
+        return Look(DEFAULT_FACTOR, ITERATIONS, kind, kind, start, False, Solved(start, []), Solved(start, []))
+    count = len(RIDGE_FACTORS)
+    factors, kinds = (*RIDGE_FACTORS, DEFAULT_FACTOR, DEFAULT_FACTOR), cast(list[Kind], ["offset"] * (count + 1) + ["off"])
+    offsets, surfaces = torch.tensor([1.0] * (count + 1) + [0.0]), torch.tensor([1.0] * count + [0.0, 1.0])
     problem = fit.problem(factors, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
-    solved, errors = solve_until_settled(judge, problem, start, kinds)
+    solved, errors, iterations = solve_until_settled(judge, problem, start, kinds)
     chosen = int(errors[:count].argmin())
-    usual = solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)]
-    found = Look(RIDGE_FACTORS[chosen], open_kind, solved[chosen].x, False, usual, solved[count])
-    if drift != "auto":
-        return found
-    steady = solved[count + 1]
-    if not judge.is_worth_a_look(steady.shown):
-        return replace(found, kind="off", x=steady.x)
-    drifts = judge.is_better("offset", steady.shown, usual.shown)
-    if drifts:
+    usual, bare, steady = solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)], solved[count], solved[count + 1]
+    looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.shown, "off", OFFSET_SHARE)
+    found = Look(RIDGE_FACTORS[chosen], iterations, "offset", "offset", solved[chosen].x, looks_drifting, usual, bare)
+    if drift in ("offset", "gain-offset"):
+        return replace(found, kind=drift)
+    if looks_drifting and judge.is_better("offset", steady.shown, usual.shown):
         level = judge.level("offset", fit.images(usual.x))
-        drifts = level <= LEVEL_LOSS * float(judge.errors("off", steady.shown).sum())
-    return replace(found, looks_drifting=True) if drifts else replace(found, kind="off", x=steady.x, looks_drifting=True)
+        if level <= LEVEL_LOSS * float(judge.errors("off", steady.shown).sum()):
+            return found
+    return replace(found, kind="off", x=steady.x)
+
+
+def choose_ridge(judge: Judge, start: Tensor, drift: tuple[Kind, Drift]) -> tuple[float, int, Tensor]:
+    """The factor with the smallest error, how many iterations were enough, and `[D, 1]` under it; with the sensor's pattern out."""
+    problem = judge.fit.problem(RIDGE_FACTORS, judge.rest, drift=drift, surface=judge.surface)
+    solved, errors, iterations = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS), after=2)
+    chosen = int(errors.argmin())
+    return RIDGE_FACTORS[chosen], iterations, solved[chosen].x
+
+
+def further(judge: Judge, factor: float, kind: Kind, x: Tensor, images: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
+    """A few iterations with the gains that suit the images of `x`, and the new images: gains and colours alternate."""
+    fit = judge.fit
+    problem = fit.problem((factor,), judge.rest, drift=fit.gauged(kind, images), surface=judge.surface)
+    x = solve(problem, x, iterations=DRIFT_ITERATIONS, shown=[i[..., None] for i in images], each=fit.each).x
+    return x, fit.images(x)
 
 
 def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: list[Tensor]) -> tuple[Kind, Tensor, list[Tensor]]:
@@ -398,17 +423,11 @@ def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: lis
     Args:
         images: of all frames, by `x`.
     """
-    fit = judge.fit
-    if not judge.is_worth_a_look(judge.of_validation(images), kind):
+    if not judge.is_worth_a_look(judge.of_validation(images), kind, GAIN_SHARE):
         return kind, x, images
 
-    def further(kind: Kind) -> tuple[Tensor, list[Tensor]]:
-        problem = fit.problem((factor,), judge.rest, drift=fit.gauged(kind, images), surface=judge.surface)
-        shown = [i[..., None] for i in images]
-        new = solve(problem, x, iterations=DRIFT_ITERATIONS, shown=shown, each=fit.each).x
-        return new, fit.images(new)
-
-    before, (changed, after) = further(kind)[1], further("gain-offset")
+    _, before = further(judge, factor, kind, x, images)
+    changed, after = further(judge, factor, "gain-offset", x, images)
     if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
         return kind, x, images
     if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
