@@ -37,7 +37,7 @@ RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
 DEFAULT_FACTOR = 0.3  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
-SETTLED_SHARE = 0.02  # a validation error that an iteration lowered by less; two iterations, where they are not the first
+SETTLED_SHARE, SETTLED_AFTER = 0.02, 2  # a validation error that fell by less over so many iterations
 HUBER = 0.5  # residuals count by their square up to so many root mean squares, beyond by their size
 ROUNDS = 1  # of reweighting
 OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
@@ -321,17 +321,15 @@ class Solved:
     shown: Sequence[Tensor]
 
 
-def solve_until_settled(
-    judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind], after: int = 1
-) -> tuple[list[Solved], Tensor, int]:
-    """Until `after` iterations do little for the error of the validation frames, which `problem` leaves out; start `[D, 1]`.
+def solve_until_settled(judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind]) -> tuple[list[Solved], Tensor, int]:
+    """Until iterations do little for the error of the validation frames, which `problem` leaves out; start `[D, 1]`.
 
     Returns:
         The problems' solutions and errors `[C]`, of each of its own kind; and how many iterations it took.
     """
     fit, frames = judge.fit, judge.validation
     shown: dict[int, Tensor] = {}
-    errors, best = torch.zeros(len(kinds)), [math.inf] * after
+    errors, best = torch.zeros(len(kinds)), [math.inf] * SETTLED_AFTER
 
     def column(c: int) -> list[Tensor]:
         return [shown[f][..., c] for f in frames]
@@ -343,7 +341,7 @@ def solve_until_settled(
         for c, kind in enumerate(kinds):
             errors[c] = judge.errors(kind, column(c)).sum()
         best.append(float(errors.min()))
-        return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - after]
+        return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - SETTLED_AFTER]
 
     solution = solve(problem, start.expand(-1, len(kinds)), iterations=ITERATIONS, settled=settled, each=fit.each)
     solved = [Solved(solution.x[:, c : c + 1].clone(), column(c)) for c in range(len(kinds))]
@@ -355,11 +353,11 @@ class Look:
     """What validation frames say of the ridge and of offsets.
 
     Attributes:
-        factor, iterations, tried: of the ridge, with the smallest error; that were enough; the drift of the problems that say so.
-        kind: of drift, but for gains, which are decided later.
+        factor: of the ridge, with the smallest error. iterations: that were enough. tried: the drift of the problems that say so.
+        kind: of drift, as far as it is decided: gains come later.
         x: `[D, 1]` that go with it, fitted to the other frames.
         looks_drifting: whether gains are to be looked into.
-        with_surface, without: the usual ridge, each frame with an offset of its own where `kind` is still open.
+        with_surface, without: two solutions that differ by the common surface alone.
     """
 
     factor: float
@@ -404,7 +402,7 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
 def choose_ridge(judge: Judge, start: Tensor, drift: tuple[Kind, Drift]) -> tuple[float, int, Tensor]:
     """The factor with the smallest error, how many iterations were enough, and `[D, 1]` under it; with the sensor's pattern out."""
     problem = judge.fit.problem(RIDGE_FACTORS, judge.rest, drift=drift, surface=judge.surface)
-    solved, errors, iterations = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS), after=2)
+    solved, errors, iterations = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS))
     chosen = int(errors.argmin())
     return RIDGE_FACTORS[chosen], iterations, solved[chosen].x
 
@@ -425,7 +423,6 @@ def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: lis
     """
     if not judge.is_worth_a_look(judge.of_validation(images), kind, GAIN_SHARE):
         return kind, x, images
-
     _, before = further(judge, factor, kind, x, images)
     changed, after = further(judge, factor, "gain-offset", x, images)
     if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
