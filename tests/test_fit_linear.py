@@ -457,7 +457,7 @@ def test_a_sensors_pattern_is_told_from_the_scene(drift_c: float) -> None:
     assert bool(model.drift) == (drift_c > 0)
     assert (model.pattern - pattern).std() < 0.3 * pattern.std()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(importlib.import_module("rtgs.fit_thermal.linear"), "choose_pattern", lambda *_: None)
+        patch.setattr(importlib.import_module("rtgs.fit_thermal.linear"), "has_pattern", lambda *_: False)
         ignored = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
     assert ignored.pattern is None
     photographs, truths = [], []

@@ -230,8 +230,12 @@ def fit_linear(
     judge = Judge(fit, list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY)), fit.surface())
     seen = look(judge, config.drift)
     kind, x, images = seen.kind, seen.x, fit.images(seen.x)
-    pattern = choose_pattern(judge, seen, images)
-    judge = replace(judge, surface=None) if pattern is None else replace(judge, fit=fit.without(pattern))
+
+    def pattern() -> Tensor:
+        return fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
+
+    patterned = has_pattern(judge, seen)
+    judge = replace(judge, fit=fit.without(pattern())) if patterned else replace(judge, surface=None)
     if seen.looks_drifting:
         kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
     factor, iterations = seen.factor, seen.iterations
@@ -240,22 +244,19 @@ def fit_linear(
             x, images = further(judge, factor, kind, x, images)
         factor, iterations, x = choose_ridge(judge, x, judge.fit.gauged(kind, images))
         images = fit.images(x)
-    if pattern is not None:  # of images that no longer have a part in it
-        judge = replace(judge, fit=fit.without(fit.pattern(fit.drift(kind, images, fit.everywhere)[1])))
+    if patterned:  # of images that no longer have a part in it
+        judge = replace(judge, fit=fit.without(pattern()))
     x, images, drift, history = reweighted(
         judge.fit, factor, iterations + LAST_ITERATIONS, kind, x, images, passes, judge.surface
     )
-    if pattern is not None:
-        if every > 1:
-            fit = replace(fit, design=design(1, False), data=whole)
-            images = fit.images(x)
-        pattern = fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
+    if patterned and every > 1:
+        fit = replace(fit, design=design(1, False), data=whole)
+        images = fit.images(x)
+    found = pattern().numpy() * np.float32(span.linear.width) if patterned else None
     drift, gain, offset = in_gauge(drift)
     x = moved(fit.design, x, gain, median * (1.0 - gain) + offset)
     passes.finish()
-    model = as_model(x, fit.design, rgb_model, training_range(scene), span, sfm_per_metre, history)
-    if pattern is not None:
-        model = replace(model, pattern=pattern.numpy() * np.float32(span.linear.width))
+    model = replace(as_model(x, fit.design, rgb_model, training_range(scene), span, sfm_per_metre, history), pattern=found)
     return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
 
 
@@ -432,23 +433,19 @@ def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: lis
     return "gain-offset", changed, after
 
 
-def choose_pattern(judge: Judge, seen: Look, images: Sequence[Tensor]) -> Tensor | None:
-    """What the sensor adds to every photograph, as far as photographs that it was not taken from are predicted better with it.
+def has_pattern(judge: Judge, seen: Look) -> bool:
+    """Whether the sensor adds something to every photograph: photographs that it was not taken from are predicted better with it.
 
-    Of what a model of the scene leaves, in which the scene itself is small; and against a model that may explain the surface itself: a
-    wall that stays at the top of all pictures is no vignetting.
-
-    Args:
-        images: of all frames, by `seen.x`.
+    It is sought in what a model of the scene leaves, in which the scene itself is small; and judged against a model that may explain
+    the surface itself: a wall that stays at the top of all pictures is no vignetting.
     """
     fit, validation = judge.fit, judge.validation
     if len(validation) < DRIFT_FRAMES:
-        return None
-    left = fit.drift(seen.kind, images, fit.everywhere)[1]
-    pattern = fit.pattern([left[f] for f in judge.rest])
-    before = fit.errors("gain-offset", validation, seen.without.shown)
-    errors = fit.without(pattern).errors("gain-offset", validation, seen.with_surface.shown)
-    return pattern if clearly_less(errors, before) else None
+        return False
+    left = fit.drift("offset", fit.images(seen.with_surface.x), fit.everywhere)[1]
+    clean = fit.without(fit.pattern([left[f] for f in judge.rest]))
+    errors = clean.errors("gain-offset", validation, seen.with_surface.shown)
+    return clearly_less(errors, fit.errors("gain-offset", validation, seen.without.shown))
 
 
 def reweighted(
