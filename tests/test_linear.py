@@ -113,6 +113,8 @@ def test_what_cannot_be_done_is_refused() -> None:
         LinearRender(cloud(3), pinhole(20, 20), POSE, channels=9)
     with pytest.raises(RtgsError, match=r"cuda"):
         LinearRender(cloud(3), pinhole(20, 20), POSE, settings=RenderSettings(backend="cuda"))
+    with pytest.raises(RtgsError, match=r"one row in 4 of a picture of 2"):
+        LinearRender(cloud(3), pinhole(20, 2), POSE, every=4)
 
 
 @pytest.mark.parametrize("antialiased", [False, True])

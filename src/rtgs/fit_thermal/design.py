@@ -22,7 +22,7 @@ from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import LinearViews, RenderSettings
 
-VIEWS_BYTES = 2 << 30  # kept weights or splats of all views; the others are projected again at each use
+VIEWS_BYTES = 2 << 30
 
 
 class Design:
@@ -32,7 +32,7 @@ class Design:
         gaussians: colours are not looked at.
         poses: camera_from_world, one a frame.
         degree: highest band of the harmonics.
-        every: see `LinearRender`. keep_weights: see `LinearViews`; pays for itself after a dozen uses of each view.
+        every: see `LinearRender`. kept_bytes: for weights or splats of views; the others are projected again at each use.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Design:
         settings: RenderSettings,
         *,
         every: int = 1,
-        keep_weights: bool = True,
+        kept_bytes: int = VIEWS_BYTES,
     ) -> None:
         self.gaussians, self.coefficients = len(gaussians), sh.coefficients(degree)
         self.size = self.gaussians * self.coefficients + 1
@@ -52,7 +52,7 @@ class Design:
         self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
         self._visible: dict[int, NDArray[np.int32]] = {}  # by frame; views may not be kept
         self._views = LinearViews(
-            gaussians, camera, poses, settings=settings, budget_bytes=VIEWS_BYTES, keep_weights=keep_weights, every=every
+            gaussians, camera, poses, settings=settings, budget_bytes=kept_bytes, keep_weights=True, every=every
         )
 
     def __len__(self) -> int:

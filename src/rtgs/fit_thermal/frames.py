@@ -37,7 +37,7 @@ class ThermalFrames:
     Attributes:
         names: of the frames.
         images: `[h, w]` each, in units of the colours; 0 where not valid.
-        valid: `[h, w]`, 1 where a pixel counts and 0 elsewhere, the same for all frames.
+        valid: `[h, w]`, how many pixels one stands for, 0 where it does not count; the same for all frames.
         poses: camera_from_world of the thermal camera.
     """
 
@@ -57,9 +57,9 @@ class ThermalFrames:
         )
 
     def rows(self, every: int) -> ThermalFrames:
-        """Only rows `every // 2 :: every` of the images; as `Camera.rows`."""
+        """Only rows `every // 2 :: every` of the images, each counting as so many; as `Camera.rows`."""
         some = slice(every // 2, None, every)
-        return replace(self, images=tuple(i[some].contiguous() for i in self.images), valid=self.valid[some].contiguous())
+        return replace(self, images=tuple(i[some].contiguous() for i in self.images), valid=every * self.valid[some])
 
     def __len__(self) -> int:
         return len(self.names)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -52,21 +52,18 @@ class Problem:
         away = x - self.prior
         out, value = -self.ridge * away, (self.ridge * away**2).sum(0, dtype=torch.float64)
         residuals = (self.images[f] - (self.design.image(f, x) if shown is None else shown[f]) for f in self.frames)
-        for f, (residual, weighted) in zip(self.frames, self._weighed(residuals), strict=True):
-            value += (residual * weighted).sum((0, 1), dtype=torch.float64)
-            self.design.add_transpose(f, weighted, out)
-            each()
+
+        def add(residual: Tensor, weighted: Tensor) -> None:
+            value.add_((residual * weighted).sum((0, 1), dtype=torch.float64))
+
+        value -= self._add_transpose(residuals, out, each, add)
         return out, value
 
     def normal(self, p: Tensor, each: Callable[[], None] = lambda: None, images: list[Tensor] | None = None) -> Tensor:
         """(designᵀ · weights · design + ridge) · p; design · p, frame by frame, is appended to `images`."""
         out = self.ridge * p
         drawn = (self.design.image(f, p) for f in self.frames)
-        for f, (image, weighted) in zip(self.frames, self._weighed(drawn), strict=True):
-            self.design.add_transpose(f, weighted, out)
-            if images is not None:
-                images.append(image)
-            each()
+        self._add_transpose(drawn, out, each, lambda image, _: None if images is None else images.append(image))
         return out
 
     def precondition(self, r: Tensor) -> Tensor:
@@ -74,23 +71,42 @@ class Problem:
         self.design.harmonics(z).copy_(torch.bmm(self.inverses, self.design.harmonics(r)))
         return z
 
-    def _weighed(self, images: Iterable[Tensor]) -> Iterator[tuple[Tensor, Tensor]]:
-        """Each frame's image, and weights · (image less what offsets and surface would make of it)."""
+    def _add_transpose(
+        self, images: Iterable[Tensor], out: Tensor, each: Callable[[], None], seen: Callable[[Tensor, Tensor], None]
+    ) -> Tensor:
+        """out += designᵀ · weights · (images less what offsets and surface would make of them).
+
+        Args:
+            seen: is shown each frame's image, and weights · (image less its offset).
+
+        Returns:
+            `[C]`, float64: what the surface takes from Σ image · weights · (image less its offset).
+        """
+        kept: list[Tensor] = []  # the surface is known when all frames have been seen
+        for f, image in zip(self.frames, images, strict=True):
+            weighted = self._weighted(f, image)
+            seen(image, weighted)
+            if self.surface is None:
+                self.design.add_transpose(f, weighted, out)
+                each()
+            else:
+                kept.append(weighted)
         if self.surface is None:
-            for f, image in zip(self.frames, images, strict=True):
-                yield image, self._weighted(f, image)
-            return
-        kept = [(image, self._weighted(f, image)) for f, image in zip(self.frames, images, strict=True)]
-        planes, zero = self.surface.permute(2, 0, 1).flatten(1), torch.zeros(self.surface.shape[2], self.ridge.shape[1])
-        right = sum((planes @ w.flatten(0, 1) for _, w in kept), zero)
+            return torch.zeros(out.shape[1], dtype=torch.float64)
+        planes = self.surface.permute(2, 0, 1).flatten(1)
+        right = sum((planes @ w.flatten(0, 1) for w in kept), torch.zeros(len(planes), out.shape[1]))
         amounts = torch.einsum("cbd,dc->bc", self._surface_inverses, right)
-        common = self.surface @ (amounts if self.surfaces is None else amounts * self.surfaces)
+        if self.surfaces is not None:
+            amounts = amounts * self.surfaces
+        common = self.surface @ amounts
         subtracted: dict[int, Tensor] = {}  # by weights: most often all frames have the same
-        for f, (image, weighted) in zip(self.frames, kept, strict=True):
+        for f, weighted in zip(self.frames, kept, strict=True):
             key = id(self.weights[f])
             if key not in subtracted:
                 subtracted = {key: self._weighted(f, common)}
-            yield image, weighted.sub_(subtracted[key])
+            self.design.add_transpose(f, weighted.sub_(subtracted[key]), out)
+            each()
+        return (right * amounts).sum(0, dtype=torch.float64)
 
     @cached_property
     def _surface_inverses(self) -> Tensor:
@@ -100,8 +116,12 @@ class Problem:
 
         def inverse(offset: float) -> Tensor:
             alone = replace(self, offsets=torch.tensor([offset]))
-            products = [torch.einsum("hwb,hwc->bc", surface, alone._weighted(f, surface)) for f in self.frames]
-            return torch.linalg.pinv(torch.stack(products).sum(0), hermitian=True)
+            products: dict[int, Tensor] = {}  # by weights: most often all frames have the same
+            for f in self.frames:
+                if id(self.weights[f]) not in products:
+                    products[id(self.weights[f])] = torch.einsum("hwb,hwc->bc", surface, alone._weighted(f, surface))
+            normal = torch.stack([products[id(self.weights[f])] for f in self.frames]).sum(0)
+            return torch.linalg.pinv(normal, hermitian=True)
 
         offsets = [0.0] * self.ridge.shape[1] if self.offsets is None else self.offsets.tolist()
         inverses = {offset: inverse(offset) for offset in set(offsets)}

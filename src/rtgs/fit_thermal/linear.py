@@ -10,6 +10,7 @@ import math
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, cast
 
 import numpy as np
@@ -42,8 +43,8 @@ HUBER = 0.5  # residuals count by their square up to so many root mean squares, 
 ROUNDS = 1  # of reweighting
 OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
 DRIFT_FRAMES = 3  # so many of them be there
-CLEAR = 0.005  # predicted better: by this share, and by a standard error
-LEVEL_LOSS = 1.25  # differences are; levels are no worse than by this factor
+DRIFT_GAIN, LEVEL_LOSS = 0.005, 1.25  # differences are predicted better by this share, levels no worse than by this factor
+PATTERN_GAIN = 0.02  # what vignetting there is explains a third of the error or more, what there is not up to one per cent
 DRIFT_ITERATIONS = 2
 ITERATIONS = 60
 TOLERANCE = 5e-3
@@ -69,10 +70,11 @@ class Passes:
             self._progress(self.total, self.total, self.text)
 
 
-def sampling(frames: int, pixels: int) -> int:
+def sampling(frames: int, valid: Tensor) -> int:
     """Of how many rows of each photograph one is looked at. The others say little that is new: what they see is in other photographs,
     at other rows."""
-    return min(max(round(frames * pixels / PIXELS), 1), MOST_ROWS)
+    every = min(max(round(frames * valid.numel() / PIXELS), 1), MOST_ROWS)
+    return every if bool(valid[every // 2 :: every].any()) else 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +201,7 @@ class Fit:
         """`[h, w, 5]`: vignetting is a combination of these; each with mean 0 over the valid pixels."""
         terms = torch.from_numpy(quadratic_terms(tuple(self.data.valid.shape))[1:]).float()
         terms = terms - (terms * self.data.valid).sum((1, 2), keepdim=True) / self.data.valid.sum()
-        return (terms * self.data.valid).permute(1, 2, 0).contiguous()
+        return (terms * (self.data.valid > 0)).permute(1, 2, 0).contiguous()
 
     def without(self, pattern: Tensor) -> Fit:
         """The same with the sensor's pattern taken out of the photographs."""
@@ -216,41 +218,40 @@ def fit_linear(
     """See `fit_thermal`."""
     span = color_range(scene)
     whole = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
-    every = sampling(len(whole), whole.valid.numel())
+    every = sampling(len(whole), whole.valid)
     data = whole.rows(every)
     median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
     passes = Passes(len(data) * USUAL_PASSES, progress)
 
-    def design(every: int, keep_weights: bool) -> Design:
-        gaussians, settings = rgb_model.gaussians.detach(), rgb_model.settings
-        camera, degree = scene.rig.thermal, config.sh_degree
-        return Design(gaussians, camera, data.poses, degree, settings, every=every, keep_weights=keep_weights)
-
-    fit = Fit.of(design(every, True), data, median, passes)
-    judge = Judge(fit, list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY)), fit.surface())
+    design = partial(Design, rgb_model.gaussians.detach(), scene.rig.thermal, data.poses, config.sh_degree, rgb_model.settings)
+    fit = Fit.of(design(every=every), data, median, passes)
+    validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
+    judge = Judge(fit, validation, fit.surface() if len(validation) >= DRIFT_FRAMES else None)
     seen = look(judge, config.drift)
     kind, x, images = seen.kind, seen.x, fit.images(seen.x)
 
-    def pattern() -> Tensor:
-        return fit.pattern(fit.drift(kind, images, fit.everywhere)[1])
+    def pattern(frames: Sequence[int] = range(len(data))) -> Tensor:
+        left = fit.drift(kind, images, fit.everywhere)[1]
+        return fit.pattern([left[f] for f in frames])
 
     patterned = has_pattern(judge, seen)
-    judge = replace(judge, fit=fit.without(pattern())) if patterned else replace(judge, surface=None)
+    judge = replace(judge, fit=fit.without(pattern(judge.rest))) if patterned else replace(judge, surface=None)
     if seen.looks_drifting:
         kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
     factor, iterations = seen.factor, seen.iterations
     if kind != seen.tried:
         if kind == "gain-offset":
             x, images = further(judge, factor, kind, x, images)
-        factor, iterations, x = choose_ridge(judge, x, judge.fit.gauged(kind, images))
+        start = seen.solutions if kind == "off" else x  # gains have moved x away from these
+        factor, iterations, x = choose_ridge(judge, start, judge.fit.gauged(kind, images))
         images = fit.images(x)
-    if patterned:  # of images that no longer have a part in it
+    if patterned:  # of all frames, and of images that no longer have a part in it
         judge = replace(judge, fit=fit.without(pattern()))
     x, images, drift, history = reweighted(
         judge.fit, factor, iterations + LAST_ITERATIONS, kind, x, images, passes, judge.surface
     )
     if patterned and every > 1:
-        fit = replace(fit, design=design(1, False), data=whole)
+        fit = replace(fit, design=design(kept_bytes=0), data=whole)  # looked at once
         images = fit.images(x)
     found = pattern().numpy() * np.float32(span.linear.width) if patterned else None
     drift, gain, offset = in_gauge(drift)
@@ -303,15 +304,15 @@ class Judge:
         return float(self.errors("off", shown).sum())
 
     def is_better(self, kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
-        return clearly_less(self.errors(kind, after), self.errors(kind, before))
+        return clearly_less(self.errors(kind, after), self.errors(kind, before), DRIFT_GAIN)
 
 
-def clearly_less(errors: Tensor, before: Tensor) -> bool:
-    """Of the validation frames `[F]`: in the mean, by more than a standard error; and in most, not for the sake of one."""
+def clearly_less(errors: Tensor, before: Tensor, by: float) -> bool:
+    """Of the validation frames `[F]`: by this share and a standard error in the mean; and by it in most, not for the sake of one."""
     gain = before - errors
     certain = float(gain.std()) / len(gain) ** 0.5
     share = (gain / before.clamp_min(1e-12)).quantile(0.5)
-    return float(gain.mean()) > max(CLEAR * float(before.mean()), certain) and float(share) > CLEAR
+    return float(gain.mean()) > max(by * float(before.mean()), certain) and float(share) > by
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +324,7 @@ class Solved:
 
 
 def solve_until_settled(judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind]) -> tuple[list[Solved], Tensor, int]:
-    """Until iterations do little for the error of the validation frames, which `problem` leaves out; start `[D, 1]`.
+    """Until iterations do little for the error of the validation frames, which `problem` leaves out; start `[D, 1 or C]`.
 
     Returns:
         The problems' solutions and errors `[C]`, of each of its own kind; and how many iterations it took.
@@ -359,6 +360,7 @@ class Look:
         x: `[D, 1]` that go with it, fitted to the other frames.
         looks_drifting: whether gains are to be looked into.
         with_surface, without: two solutions that differ by the common surface alone.
+        solutions: `[D, C]`, under each of `RIDGE_FACTORS`.
     """
 
     factor: float
@@ -369,6 +371,7 @@ class Look:
     looks_drifting: bool
     with_surface: Solved
     without: Solved
+    solutions: Tensor
 
 
 def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
@@ -381,7 +384,7 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
     if not judge.validation:
         kind: Kind = "off" if drift == "auto" else drift
-        return Look(DEFAULT_FACTOR, ITERATIONS, kind, kind, start, False, Solved(start, []), Solved(start, []))
+        return Look(DEFAULT_FACTOR, ITERATIONS, kind, kind, start, False, Solved(start, []), Solved(start, []), start)
     count = len(RIDGE_FACTORS)
     factors, kinds = (*RIDGE_FACTORS, DEFAULT_FACTOR, DEFAULT_FACTOR), cast(list[Kind], ["offset"] * (count + 1) + ["off"])
     offsets, surfaces = torch.tensor([1.0] * (count + 1) + [0.0]), torch.tensor([1.0] * count + [0.0, 1.0])
@@ -390,7 +393,8 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     chosen = int(errors[:count].argmin())
     usual, bare, steady = solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)], solved[count], solved[count + 1]
     looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.shown, "off", OFFSET_SHARE)
-    found = Look(RIDGE_FACTORS[chosen], iterations, "offset", "offset", solved[chosen].x, looks_drifting, usual, bare)
+    solutions = torch.cat([s.x for s in solved[:count]], dim=1)
+    found = Look(RIDGE_FACTORS[chosen], iterations, "offset", "offset", solved[chosen].x, looks_drifting, usual, bare, solutions)
     if drift in ("offset", "gain-offset"):
         return replace(found, kind=drift)
     if looks_drifting and judge.is_better("offset", steady.shown, usual.shown):
@@ -401,7 +405,11 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
 
 
 def choose_ridge(judge: Judge, start: Tensor, drift: tuple[Kind, Drift]) -> tuple[float, int, Tensor]:
-    """The factor with the smallest error, how many iterations were enough, and `[D, 1]` under it; with the sensor's pattern out."""
+    """The factor with the smallest error, how many iterations were enough, and `[D, 1]` under it; with the sensor's pattern out.
+
+    Args:
+        start: `[D, C]`, of each factor its own where there is one: from a common start, beginnings are compared rather than ridges.
+    """
     problem = judge.fit.problem(RIDGE_FACTORS, judge.rest, drift=drift, surface=judge.surface)
     solved, errors, iterations = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS))
     chosen = int(errors.argmin())
@@ -445,7 +453,7 @@ def has_pattern(judge: Judge, seen: Look) -> bool:
     left = fit.drift("offset", fit.images(seen.with_surface.x), fit.everywhere)[1]
     clean = fit.without(fit.pattern([left[f] for f in judge.rest]))
     errors = clean.errors("gain-offset", validation, seen.with_surface.shown)
-    return clearly_less(errors, fit.errors("gain-offset", validation, seen.without.shown))
+    return clearly_less(errors, fit.errors("gain-offset", validation, seen.without.shown), PATTERN_GAIN)
 
 
 def reweighted(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ class LinearRender:
         every: only rows `every // 2 :: every` of the picture, H of them.
 
     Raises:
-        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end.
+        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end; no row is left.
     """
 
     def __init__(
@@ -54,6 +55,8 @@ class LinearRender:
         check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
         if settings.backend == "cuda":
             raise RtgsError('render: the "cuda" back end has no linear map; use "cpu".')
+        if every // 2 >= camera.height:
+            raise RtgsError(f"render: one row in {every} of a picture of {camera.height} leaves none; choose a smaller `every`.")
         self.channels, self.shape = channels, (camera.rows(every).height, camera.width)
         self.gaussians = len(gaussians)
         self._backend: _Cpu | _Reference = (
@@ -68,14 +71,18 @@ class LinearRender:
         """`[H, W]`."""
         return self._backend.alpha
 
+    @cached_property
+    def _through(self) -> Tensor:
+        return 1.0 - self.alpha
+
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
         picture = self._backend.image(colors)
-        return picture if background is None else picture.addcmul_((1.0 - self.alpha)[..., None], background)
+        return picture if background is None else picture.addcmul_(self._through[..., None], background)
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
-        background = image.permute(2, 0, 1).flatten(1) @ (1.0 - self.alpha).flatten()
+        background = image.to(self._through.dtype).permute(2, 0, 1).flatten(1) @ self._through.flatten()
         return self._backend.adjoint(image), background
 
     def keep_weights(self, within: int) -> None:
@@ -196,7 +203,7 @@ class _Cpu:
     @property
     def nbytes(self) -> int:
         height, width = self._map.shape
-        return self._map.nbytes + 4 * height * width + self.visible.nbytes
+        return self._map.nbytes + 4 * height * width + (self.visible.nbytes if isinstance(self._map, Splats) else 0)
 
 
 class _Reference:

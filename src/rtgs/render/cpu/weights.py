@@ -276,7 +276,8 @@ class Survey:
     def nbytes(self) -> int:
         """What the weights would take."""
         meetings, rows = self.ends.sum(0)
-        return int(2 * LANES * rows + 14 * meetings)  # 14: splats, masks, order, and seen at the most
+        per_meeting = 4 + 2 + 4 + 4 + 4  # splats, masks, order; seen and its starts at the most
+        return int(2 * LANES * rows + per_meeting * meetings + 16 * (len(self.ends) + 1) + 4)
 
 
 @dataclass(frozen=True, eq=False)
