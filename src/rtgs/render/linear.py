@@ -35,7 +35,8 @@ class LinearRender:
         gaussians: geometry and opacity; its colours are not looked at.
         channels: C of the colours that will be given, at most; checked here rather than in the middle of long work.
         settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
-        every: only rows `every // 2 :: every` of the picture, H of them.
+        every: only rows `every // 2 :: every` of the picture, H of them. (What lies well outside the view, where projection holds a
+            Gaussian's slope, is held half a row elsewhere.)
 
     Raises:
         RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end; no row is left.
