@@ -60,12 +60,14 @@ class LinearRender:
             raise RtgsError(f"render: one row in {every} of a picture of {camera.height} leaves none; choose a smaller `every`.")
         self.channels, self.shape = channels, (camera.rows(every).height, camera.width)
         self.gaussians = len(gaussians)
-        self._backend: _Cpu | _Reference = (
-            _Cpu(gaussians, camera, camera_from_world, channels, settings, every)
-            if settings.backend == "cpu"
-            else _Reference(gaussians, camera, camera_from_world, channels, settings, every)
+        self._backend: _Cpu | _Reference = (_Cpu if settings.backend == "cpu" else _Reference)(
+            gaussians, camera, camera_from_world, channels, settings, every
         )
-        self.visible: NDArray[np.int32] = self._backend.visible  # which of the N; the others' colours are not looked at
+
+    @property
+    def visible(self) -> NDArray[np.int32]:
+        """Which of the N; the others' colours are not looked at."""
+        return self._backend.visible
 
     @property
     def alpha(self) -> Tensor:
@@ -88,9 +90,8 @@ class LinearRender:
 
     def keep_weights(self, within: int) -> None:
         """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
-        a quarter of the time. "cpu" only; "reference" goes on as before."""
+        a third to two fifths of the time. "cpu" only; "reference" goes on as before."""
         self._backend.keep_weights(within)
-        self.visible = self._backend.visible
 
     @property
     def nbytes(self) -> int:
