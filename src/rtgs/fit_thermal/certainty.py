@@ -90,7 +90,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
     offsets = torch.ones(SAMPLES) if model.drift else None
     problem = Problem(design, range(len(data)), noises, weights, offsets, ridges, prior, inverses, divisor)
     x = solve(problem, prior, iterations=ITERATIONS, each=each).x
-    right, _ = problem.gradient(torch.zeros_like(x), each)
+    right = problem.gradient(torch.zeros_like(x), each)
     freedom = float(((right - ridges * prior) * x).sum()) / SAMPLES
     sigma = math.sqrt(squares / max(pixels - freedom, 0.1 * pixels))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -23,7 +23,8 @@ class Problem:
         frames: indices of those that count.
         images, weights: `[h, w, 1 or C]` and `[h, w]`, of all frames of the design.
         offsets: `[C]`, 1 for a problem in which each frame has an offset of its own, 0 where they are 0; None: 0 everywhere.
-        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none.
+        surface: `[h, w, B]`, of which all frames may have any one combination added; None: none. Only where all frames have the same
+            weights, by which its mean is 0.
         surfaces: `[C]`, 1 for a problem that has it; None: 1 everywhere.
         ridge, prior: `[D, C]`.
         inverses, background: the preconditioner (see `preconditioner`).
@@ -41,29 +42,16 @@ class Problem:
     surface: Tensor | None = None
     surfaces: Tensor | None = None
 
-    def gradient(
-        self, x: Tensor, each: Callable[[], None] = lambda: None, shown: Sequence[Tensor] | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Half the direction of descent `[D, C]`, and the value of the sum `[C]` in float64.
+    def gradient(self, x: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
+        """Half the direction of descent `[D, C]`."""
+        out = self.ridge * (self.prior - x)
+        self._add_transpose((self.images[f] - self.design.image(f, x) for f in self.frames), out, each)
+        return out
 
-        Args:
-            shown: `design.image` of `x` by frame, where it is known already.
-        """
-        away = x - self.prior
-        out, value = -self.ridge * away, (self.ridge * away**2).sum(0, dtype=torch.float64)
-        residuals = (self.images[f] - (self.design.image(f, x) if shown is None else shown[f]) for f in self.frames)
-
-        def add(residual: Tensor, weighted: Tensor) -> None:
-            value.add_((residual * weighted).sum((0, 1), dtype=torch.float64))
-
-        value -= self._add_transpose(residuals, out, each, add)
-        return out, value
-
-    def normal(self, p: Tensor, each: Callable[[], None] = lambda: None, images: list[Tensor] | None = None) -> Tensor:
-        """(designᵀ · weights · design + ridge) · p; design · p, frame by frame, is appended to `images`."""
+    def normal(self, p: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
+        """(designᵀ · weights · design + ridge) · p."""
         out = self.ridge * p
-        drawn = (self.design.image(f, p) for f in self.frames)
-        self._add_transpose(drawn, out, each, lambda image, _: None if images is None else images.append(image))
+        self._add_transpose((self.design.image(f, p) for f in self.frames), out, each)
         return out
 
     def precondition(self, r: Tensor) -> Tensor:
@@ -71,61 +59,31 @@ class Problem:
         self.design.harmonics(z).copy_(torch.bmm(self.inverses, self.design.harmonics(r)))
         return z
 
-    def _add_transpose(
-        self, images: Iterable[Tensor], out: Tensor, each: Callable[[], None], seen: Callable[[Tensor, Tensor], None]
-    ) -> Tensor:
-        """out += designᵀ · weights · (images less what offsets and surface would make of them).
-
-        Args:
-            seen: is shown each frame's image, and weights · (image less its offset).
-
-        Returns:
-            `[C]`, float64: what the surface takes from Σ image · weights · (image less its offset).
-        """
-        kept: list[Tensor] = []  # the surface is known when all frames have been seen
+    def _add_transpose(self, images: Iterable[Tensor], out: Tensor, each: Callable[[], None]) -> None:
+        """out += designᵀ · weights · (images less what offsets and surface would make of them)."""
+        right = torch.zeros(0 if self.surface is None else self.surface.shape[2], out.shape[1])
+        planes = None if self.surface is None else self.surface.permute(2, 0, 1).flatten(1)
         for f, image in zip(self.frames, images, strict=True):
             weighted = self._weighted(f, image)
-            seen(image, weighted)
-            if self.surface is None:
-                self.design.add_transpose(f, weighted, out)
-                each()
-            else:
-                kept.append(weighted)
-        if self.surface is None:
-            return torch.zeros(out.shape[1], dtype=torch.float64)
-        planes = self.surface.permute(2, 0, 1).flatten(1)
-        right = sum((planes @ w.flatten(0, 1) for w in kept), torch.zeros(len(planes), out.shape[1]))
-        amounts = torch.einsum("cbd,dc->bc", self._surface_inverses, right)
-        if self.surfaces is not None:
-            amounts = amounts * self.surfaces
-        common = self.surface @ amounts
-        subtracted: dict[int, Tensor] = {}  # by weights: most often all frames have the same
-        for f, weighted in zip(self.frames, kept, strict=True):
-            key = id(self.weights[f])
-            if key not in subtracted:
-                subtracted = {key: self._weighted(f, common)}
-            self.design.add_transpose(f, weighted.sub_(subtracted[key]), out)
+            if planes is not None:
+                right += planes @ weighted.flatten(0, 1)
+            self.design.add_transpose(f, weighted, out)
             each()
-        return (right * amounts).sum(0, dtype=torch.float64)
+        if self.surface is not None:
+            inverse, transposed = self._eliminated
+            amounts = inverse @ right
+            out -= transposed @ (amounts if self.surfaces is None else amounts * self.surfaces)
 
     @cached_property
-    def _surface_inverses(self) -> Tensor:
-        """`[C, B, B]`: inverse of the normal matrix of the surface alone, without or with offsets besides."""
+    def _eliminated(self) -> tuple[Tensor, Tensor]:
+        """Of the surface: the inverse of its normal matrix `[B, B]`, and Σ_f designᵀ · weights · surface `[D, B]`."""
         assert self.surface is not None
-        surface = self.surface
-
-        def inverse(offset: float) -> Tensor:
-            alone = replace(self, offsets=torch.tensor([offset]))
-            products: dict[int, Tensor] = {}  # by weights: most often all frames have the same
-            for f in self.frames:
-                if id(self.weights[f]) not in products:
-                    products[id(self.weights[f])] = torch.einsum("hwb,hwc->bc", surface, alone._weighted(f, surface))
-            normal = torch.stack([products[id(self.weights[f])] for f in self.frames]).sum(0)
-            return torch.linalg.pinv(normal, hermitian=True)
-
-        offsets = [0.0] * self.ridge.shape[1] if self.offsets is None else self.offsets.tolist()
-        inverses = {offset: inverse(offset) for offset in set(offsets)}
-        return torch.stack([inverses[offset] for offset in offsets])
+        weighted = self.surface * self.weights[self.frames[0]][..., None]
+        normal = len(self.frames) * torch.einsum("hwb,hwc->bc", self.surface, weighted)
+        transposed = torch.zeros(self.design.size, self.surface.shape[2])
+        for f in self.frames:
+            self.design.add_transpose(f, weighted, transposed)
+        return torch.linalg.pinv(normal, hermitian=True), transposed
 
     def _weighted(self, frame: int, image: Tensor) -> Tensor:
         """Weights · (image less its weighted mean, where there are offsets)."""
@@ -152,13 +110,11 @@ def preconditioner(blocks: Tensor, background: float, ridge: Tensor, design: Des
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """`x` `[D, C]`; `iterations`; `residual` `[C]`: norm of the gradient that is left, relative to that at the start; `shown`:
-    design · x of each of the problem's frames, where it was known of the start."""
+    """`x` `[D, C]`; `iterations`; `residual` `[C]`: norm of the gradient that is left, relative to that at the start."""
 
     x: Tensor
     iterations: int
     residual: Tensor
-    shown: list[Tensor] | None
 
 
 def solve(
@@ -166,48 +122,40 @@ def solve(
     start: Tensor,
     *,
     iterations: int,
-    tolerance: float = 0.0,
     settled: Callable[[Tensor], bool] = lambda x: False,
-    shown: Sequence[Tensor] | None = None,
     each: Callable[[], None] = lambda: None,
 ) -> Solution:
-    """Conjugate gradients from `start` `[D, C]`.
+    """Conjugate gradients from `start` `[D, C]`. Nothing is kept of the frames from one iteration to the next.
 
     Args:
         iterations: at most.
-        tolerance: stop when an iteration lowered no problem's sum by more than this share of it.
         settled: asked after each iteration, with the unknowns, whether it was the last.
-        shown: see `Problem.gradient`; kept up to date from iteration to iteration, which saves the next problem a pass.
         each: called after each frame of each pass.
     """
     x, done = start.clone(), 0
-    images = None if shown is None else [shown[f] for f in problem.frames]
-    r, value = problem.gradient(x, each, shown)
+    r = problem.gradient(x, each)
     z = problem.precondition(r)
-    p, rz = z.clone(), _dot(r, z)
+    p, rz = z.clone(), dot(r, z)
     first = rz
     while done < iterations:
-        moves: list[Tensor] | None = None if images is None else []
-        q = problem.normal(p, each, moves)
-        step = _ratio(rz, _dot(p, q))
-        if images is not None and moves is not None:
-            images = [image + step.float() * move for image, move in zip(images, moves, strict=True)]
-        x += step.float() * p
-        r -= step.float() * q
+        q = problem.normal(p, each)
+        step = ratio(rz, dot(p, q)).float()
+        x += step * p
+        r -= step * q
         z = problem.precondition(r)
-        gain, old, rz = step * rz, rz, _dot(r, z)
-        value, done = value - gain, done + 1
-        if settled(x) or bool((gain <= tolerance * value.clamp_min(0.0)).all()):
+        old, rz = rz, dot(r, z)
+        done += 1
+        if settled(x) or bool((rz == 0).all()):
             break
-        p = z + _ratio(rz, old).float() * p
-    return Solution(x, done, _ratio(rz, first).sqrt(), images)
+        p = z + ratio(rz, old).float() * p
+    return Solution(x, done, ratio(rz, first).sqrt())
 
 
-def _dot(a: Tensor, b: Tensor) -> Tensor:
+def dot(a: Tensor, b: Tensor) -> Tensor:
     """`[C]` in float64, without a float64 copy of the vectors."""
     return (a * b).sum(0, dtype=torch.float64)
 
 
-def _ratio(a: Tensor, b: Tensor) -> Tensor:
+def ratio(a: Tensor, b: Tensor) -> Tensor:
     """a / b, and 0 where b is: a problem that is solved stays as it is."""
     return torch.where(b > 0, a / b.clamp_min(torch.finfo(torch.float64).tiny), torch.zeros_like(a))

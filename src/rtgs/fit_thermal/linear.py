@@ -11,7 +11,7 @@ from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
 from rtgs.fit_thermal.frames import ThermalFrames, color_range, training_range
 from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
+from rtgs.fit_thermal.robust import solve_robustly
 from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
@@ -32,24 +33,22 @@ from rtgs.sensor import quadratic_terms, sensor_pattern
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
 # held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
 # geometry gets wrong is as large in a hundred pixels as in one, and view dependence would make up for it.
-RIDGE_PX = 0.3
+RIDGE_PX = 0.03
 RIDGE_SHARE = 0.01
 RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
 DEFAULT_FACTOR = 0.3  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
 SETTLED_SHARE, SETTLED_AFTER = 0.02, 2  # a validation error that fell by less over so many iterations
-HUBER = 0.5  # residuals count by their square up to so many root mean squares, beyond by their size
-ROUNDS = 1  # of reweighting
+HUBER = 0.3  # residuals count by their square up to so many root mean squares, beyond by their size
 OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
 DRIFT_FRAMES = 3  # so many of them be there
 DRIFT_GAIN, LEVEL_LOSS = 0.005, 1.25  # differences are predicted better by this share, levels no worse than by this factor
 PATTERN_GAIN = 0.02  # what vignetting there is explains a third of the error or more, what there is not up to one per cent
-DRIFT_ITERATIONS = 2
+DRIFT_ITERATIONS = 4
 ITERATIONS = 60
-TOLERANCE = 5e-3
 USUAL_PASSES = 22
-LAST_ITERATIONS = 3  # beyond what validation frames found to be enough
+LAST_ITERATIONS = 8  # on all frames, from what most of them led to
 PIXELS = 2_800_000  # of all photographs together are looked at, or one row of
 MOST_ROWS = 4
 
@@ -166,10 +165,10 @@ class Fit:
         return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background, surface, surfaces)
 
     def images(self, x: Tensor) -> list[Tensor]:
-        """`[h, w]` a frame, of unknowns `[D, 1]`."""
+        """`[h, w, C]` a frame, of unknowns `[D, C]`."""
         out = []
         for f in range(len(self.data)):
-            out.append(self.design.image(f, x)[..., 0])
+            out.append(self.design.image(f, x))
             self.each()
         return out
 
@@ -228,37 +227,46 @@ def fit_linear(
     validation = list(range(VALIDATE_EVERY // 2, len(data), VALIDATE_EVERY))
     judge = Judge(fit, validation, fit.surface() if len(validation) >= DRIFT_FRAMES else None)
     seen = look(judge, config.drift)
-    kind, x, images = seen.kind, seen.x, fit.images(seen.x)
+    kind, found = seen.kind, seen.found
 
     def pattern(frames: Sequence[int] = range(len(data))) -> Tensor:
-        left = fit.drift(kind, images, fit.everywhere)[1]
+        left = fit.drift(kind, found.images, fit.everywhere)[1]
         return fit.pattern([left[f] for f in frames])
 
     patterned = has_pattern(judge, seen)
-    judge = replace(judge, fit=fit.without(pattern(judge.rest))) if patterned else replace(judge, surface=None)
+    judge = replace(judge, fit=fit.without(pattern(judge.rest)) if patterned else fit, surface=None)
     if seen.looks_drifting:
-        kind, x, images = choose_gains(judge, seen.factor, kind, x, images)
-    factor, iterations = seen.factor, seen.iterations
-    if kind != seen.tried:
-        if kind == "gain-offset":
-            x, images = further(judge, factor, kind, x, images)
-        start = seen.solutions if kind == "off" else x  # gains have moved x away from these
-        factor, iterations, x = choose_ridge(judge, start, judge.fit.gauged(kind, images))
-        images = fit.images(x)
+        kind, found = choose_gains(judge, kind, found)
+    if kind == "gain-offset":
+        found = further(judge, kind, found)
+    factor, found = choose_ridge(judge, kind, found)
     if patterned:  # of all frames, and of images that no longer have a part in it
         judge = replace(judge, fit=fit.without(pattern()))
-    x, images, drift, history = reweighted(
-        judge.fit, factor, iterations + LAST_ITERATIONS, kind, x, images, passes, judge.surface
-    )
+    found, drift, history = finish(judge.fit, factor, kind, found, LAST_ITERATIONS if validation else ITERATIONS, passes)
+    x = found.x
     if patterned and every > 1:
         fit = replace(fit, design=design(kept_bytes=0), data=whole)  # looked at once
-        images = fit.images(x)
-    found = pattern().numpy() * np.float32(span.linear.width) if patterned else None
+        found = Solved.of(fit, x)[0]
+    drawn = pattern().numpy() * np.float32(span.linear.width) if patterned else None
     drift, gain, offset = in_gauge(drift)
     x = moved(fit.design, x, gain, median * (1.0 - gain) + offset)
     passes.finish()
-    model = replace(as_model(x, fit.design, rgb_model, training_range(scene), span, sfm_per_metre, history), pattern=found)
+    model = replace(as_model(x, fit.design, rgb_model, training_range(scene), span, sfm_per_metre, history), pattern=drawn)
     return model if kind == "off" else replace(model, drift=drift.by_frame(data.names, span))
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Unknowns `[D, 1]`, and what they look like in all frames, `[h, w]` each."""
+
+    x: Tensor
+    images: Sequence[Tensor]
+
+    @staticmethod
+    def of(fit: Fit, x: Tensor, shown: Mapping[int, Tensor] | None = None) -> list[Solved]:
+        """Of C problems side by side, `[D, C]`; `shown` `[h, w, C]`: where it is known already."""
+        images = fit.images(x) if shown is None else [shown[f] for f in range(len(fit.data))]
+        return [Solved(x[:, c : c + 1].clone(), [i[..., c] for i in images]) for c in range(x.shape[1])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,28 +287,26 @@ class Judge:
     def rest(self) -> list[int]:
         return [f for f in range(len(self.fit.data)) if f not in self.validation]
 
-    def of_validation(self, images: Sequence[Tensor]) -> list[Tensor]:
-        return [images[f] for f in self.validation]
+    def errors(self, kind: Kind, images: Mapping[int, Tensor] | Sequence[Tensor]) -> Tensor:
+        """Of the validation frames; `images` has these or all frames."""
+        return self.fit.errors(kind, self.validation, [images[f] for f in self.validation], self.surface)
 
-    def errors(self, kind: Kind, shown: Sequence[Tensor]) -> Tensor:
-        return self.fit.errors(kind, self.validation, shown, self.surface)
-
-    def is_worth_a_look(self, shown: Sequence[Tensor], kind: Kind, share: float) -> bool:
+    def is_worth_a_look(self, images: Sequence[Tensor], kind: Kind, share: float) -> bool:
         """Whether so much of the error that `kind` leaves goes with gains and offsets of the validation frames' own."""
         if len(self.validation) < DRIFT_FRAMES:
             return False
-        return float(self.errors("gain-offset", shown).sum()) <= (1.0 - share) * float(self.errors(kind, shown).sum())
+        return float(self.errors("gain-offset", images).sum()) <= (1.0 - share) * float(self.errors(kind, images).sum())
 
     def level(self, kind: Kind, images: Sequence[Tensor]) -> float:
-        """Error of the validation frames with the drift that the other frames let expect, of images of all frames."""
+        """Error of the validation frames with the drift that the other frames let expect."""
         fit = self.fit
         drift, gain, offset = in_gauge(fit.drift(kind, images, fit.everywhere)[0].only(self.rest))
         away = torch.stack([drift.gain - 1.0, drift.offset], dim=1).double().numpy()
-        shown = []
+        shown = {}
         for f in self.validation:
             own_gain, own_offset = between(away, away[:, 1], bisect(self.rest, f))
             scene = gain * (images[f] - fit.median) + offset
-            shown.append(fit.median + float(own_offset) + (1.0 + float(own_gain)) * scene)
+            shown[f] = fit.median + float(own_offset) + (1.0 + float(own_gain)) * scene
         return float(self.errors("off", shown).sum())
 
     def is_better(self, kind: Kind, before: Sequence[Tensor], after: Sequence[Tensor]) -> bool:
@@ -315,130 +321,114 @@ def clearly_less(errors: Tensor, before: Tensor, by: float) -> bool:
     return float(gain.mean()) > max(by * float(before.mean()), certain) and float(share) > by
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """One of the problems that were solved side by side: unknowns `[D, 1]`, and what they look like in the validation frames."""
+class Watch:
+    """For `settled` of a solver: whether iterations do little for the error of the validation frames, which its problems leave out,
+    in any of them: what is ahead now need not be where it ends.
 
-    x: Tensor
-    shown: Sequence[Tensor]
-
-
-def solve_until_settled(judge: Judge, problem: Problem, start: Tensor, kinds: Sequence[Kind]) -> tuple[list[Solved], Tensor, int]:
-    """Until iterations do little for the error of the validation frames, which `problem` leaves out; start `[D, 1 or C]`.
-
-    Returns:
-        The problems' solutions and errors `[C]`, of each of its own kind; and how many iterations it took.
+    Attributes:
+        shown: `[h, w, C]`, of the validation frames. errors: `[C]`, each of its own kind.
     """
-    fit, frames = judge.fit, judge.validation
-    shown: dict[int, Tensor] = {}
-    errors, best = torch.zeros(len(kinds)), [math.inf] * SETTLED_AFTER
 
-    def column(c: int) -> list[Tensor]:
-        return [shown[f][..., c] for f in frames]
+    def __init__(self, judge: Judge, kinds: Sequence[Kind]) -> None:
+        self.shown: dict[int, Tensor] = {}
+        self.errors = torch.zeros(len(kinds))
+        self._judge, self._kinds = judge, kinds
+        self._before = [torch.full((len(kinds),), math.inf)] * SETTLED_AFTER
 
-    def settled(x: Tensor) -> bool:
-        for f in frames:
-            shown[f] = fit.design.image(f, x)
+    def __call__(self, x: Tensor) -> bool:
+        fit = self._judge.fit
+        for f in self._judge.validation:
+            self.shown[f] = fit.design.image(f, x)
             fit.each()
-        for c, kind in enumerate(kinds):
-            errors[c] = judge.errors(kind, column(c)).sum()
-        best.append(float(errors.min()))
-        return best[-1] > (1.0 - SETTLED_SHARE) * best[-1 - SETTLED_AFTER]
-
-    solution = solve(problem, start.expand(-1, len(kinds)), iterations=ITERATIONS, settled=settled, each=fit.each)
-    solved = [Solved(solution.x[:, c : c + 1].clone(), column(c)) for c in range(len(kinds))]
-    return solved, errors, solution.iterations
+        for c, kind in enumerate(self._kinds):
+            self.errors[c] = self._judge.errors(kind, {f: image[..., c] for f, image in self.shown.items()}).sum()
+        self._before.append(self.errors.clone())
+        return bool((self.errors > (1.0 - SETTLED_SHARE) * self._before[-1 - SETTLED_AFTER]).all())
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What validation frames say of the ridge and of offsets.
+    """What validation frames say of offsets.
 
     Attributes:
-        factor: of the ridge, with the smallest error. iterations: that were enough. tried: the drift of the problems that say so.
         kind: of drift, as far as it is decided: gains come later.
-        x: `[D, 1]` that go with it, fitted to the other frames.
+        found: what goes with it, fitted to the other frames.
         looks_drifting: whether gains are to be looked into.
         with_surface, without: two solutions that differ by the common surface alone.
-        solutions: `[D, C]`, under each of `RIDGE_FACTORS`.
     """
 
-    factor: float
-    iterations: int
-    tried: Kind
     kind: Kind
-    x: Tensor
+    found: Solved
     looks_drifting: bool
     with_surface: Solved
     without: Solved
-    solutions: Tensor
 
 
 def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
-    """Several ridges side by side, each frame with an offset of its own, and nothing known of the sensor's pattern but that it is nearly
-    a common surface; one more problem without that surface, by which the pattern is judged, and one without offsets, by which these are.
+    """Three problems side by side: each frame with an offset of its own, and nothing known of the sensor's pattern but that it is nearly
+    a common surface; the same without that surface, by which the pattern is judged; and without offsets, by which these are.
 
     Args:
         drift: what to say of it, if not "auto".
     """
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
     if not judge.validation:
-        kind: Kind = "off" if drift == "auto" else drift
-        return Look(DEFAULT_FACTOR, ITERATIONS, kind, kind, start, False, Solved(start, []), Solved(start, []), start)
-    count = len(RIDGE_FACTORS)
-    factors, kinds = (*RIDGE_FACTORS, DEFAULT_FACTOR, DEFAULT_FACTOR), cast(list[Kind], ["offset"] * (count + 1) + ["off"])
-    offsets, surfaces = torch.tensor([1.0] * (count + 1) + [0.0]), torch.tensor([1.0] * count + [0.0, 1.0])
-    problem = fit.problem(factors, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
-    solved, errors, iterations = solve_until_settled(judge, problem, start, kinds)
-    chosen = int(errors[:count].argmin())
-    usual, bare, steady = solved[RIDGE_FACTORS.index(DEFAULT_FACTOR)], solved[count], solved[count + 1]
-    looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.shown, "off", OFFSET_SHARE)
-    solutions = torch.cat([s.x for s in solved[:count]], dim=1)
-    found = Look(RIDGE_FACTORS[chosen], iterations, "offset", "offset", solved[chosen].x, looks_drifting, usual, bare, solutions)
+        only = Solved.of(fit, start)[0]
+        return Look("off" if drift == "auto" else drift, only, False, only, only)
+    offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
+    problem = fit.problem((DEFAULT_FACTOR,) * 3, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
+    watch = Watch(judge, ["offset", "offset", "off"])
+    solution = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch, each=fit.each)
+    usual, bare, steady = Solved.of(fit, solution.x)
+    looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.images, "off", OFFSET_SHARE)
+    found = Look("offset", usual, looks_drifting, usual, bare)
     if drift in ("offset", "gain-offset"):
         return replace(found, kind=drift)
-    if looks_drifting and judge.is_better("offset", steady.shown, usual.shown):
-        level = judge.level("offset", fit.images(usual.x))
-        if level <= LEVEL_LOSS * float(judge.errors("off", steady.shown).sum()):
+    if looks_drifting and judge.is_better("offset", steady.images, usual.images):
+        allowed = LEVEL_LOSS * float(judge.errors("off", steady.images).sum())
+        if judge.level("offset", usual.images) <= allowed:
             return found
-    return replace(found, kind="off", x=steady.x)
+    return replace(found, kind="off", found=steady)
 
 
-def choose_ridge(judge: Judge, start: Tensor, drift: tuple[Kind, Drift]) -> tuple[float, int, Tensor]:
-    """The factor with the smallest error, how many iterations were enough, and `[D, 1]` under it; with the sensor's pattern out.
-
-    Args:
-        start: `[D, C]`, of each factor its own where there is one: from a common start, beginnings are compared rather than ridges.
-    """
-    problem = judge.fit.problem(RIDGE_FACTORS, judge.rest, drift=drift, surface=judge.surface)
-    solved, errors, iterations = solve_until_settled(judge, problem, start, [drift[0]] * len(RIDGE_FACTORS))
-    chosen = int(errors.argmin())
-    return RIDGE_FACTORS[chosen], iterations, solved[chosen].x
-
-
-def further(judge: Judge, factor: float, kind: Kind, x: Tensor, images: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
-    """A few iterations with the gains that suit the images of `x`, and the new images: gains and colours alternate."""
-    fit = judge.fit
-    problem = fit.problem((factor,), judge.rest, drift=fit.gauged(kind, images), surface=judge.surface)
-    x = solve(problem, x, iterations=DRIFT_ITERATIONS, shown=[i[..., None] for i in images], each=fit.each).x
-    return x, fit.images(x)
+def robustly(
+    judge: Judge, factors: Sequence[float], kind: Kind, start: Solved, iterations: int, watch: Watch | None = None
+) -> list[Solved]:
+    """Under several ridges, by Huber's loss, with the gains that suit the images of `start`: gains and colours alternate."""
+    fit, rest = judge.fit, judge.rest
+    problem = fit.problem(factors, rest, drift=fit.gauged(kind, start.images))
+    shown = [start.images[f][..., None] for f in rest]
+    settled = watch or (lambda x: False)
+    solution = solve_robustly(problem, start.x, huber=HUBER, iterations=iterations, shown=shown, settled=settled, each=fit.each)
+    known = dict(zip(rest, solution.shown, strict=True))
+    return Solved.of(fit, solution.x, known | {f: fit.design.image(f, solution.x) for f in judge.validation})
 
 
-def choose_gains(judge: Judge, factor: float, kind: Kind, x: Tensor, images: list[Tensor]) -> tuple[Kind, Tensor, list[Tensor]]:
-    """Whether frames have a gain besides, the sensor's pattern taken out: vignetting that is left in looks like one.
+def choose_ridge(judge: Judge, kind: Kind, start: Solved) -> tuple[float, Solved]:
+    """The factor with the smallest error, and what it leads to; with the sensor's pattern out."""
+    if not judge.validation:
+        return DEFAULT_FACTOR, start
+    watch = Watch(judge, [kind] * len(RIDGE_FACTORS))
+    solved = robustly(judge, RIDGE_FACTORS, kind, start, ITERATIONS, watch)
+    chosen = int(watch.errors.argmin())
+    return RIDGE_FACTORS[chosen], solved[chosen]
 
-    Args:
-        images: of all frames, by `x`.
-    """
-    if not judge.is_worth_a_look(judge.of_validation(images), kind, GAIN_SHARE):
-        return kind, x, images
-    _, before = further(judge, factor, kind, x, images)
-    changed, after = further(judge, factor, "gain-offset", x, images)
-    if not judge.is_better("gain-offset", judge.of_validation(before), judge.of_validation(after)):
-        return kind, x, images
-    if judge.level("gain-offset", after) > LEVEL_LOSS * judge.level(kind, before):
-        return kind, x, images
-    return "gain-offset", changed, after
+
+def further(judge: Judge, kind: Kind, start: Solved) -> Solved:
+    """A few iterations."""
+    return robustly(judge, (DEFAULT_FACTOR,), kind, start, DRIFT_ITERATIONS)[0]
+
+
+def choose_gains(judge: Judge, kind: Kind, start: Solved) -> tuple[Kind, Solved]:
+    """Whether frames have a gain besides, the sensor's pattern taken out: vignetting that is left in looks like one."""
+    if not judge.is_worth_a_look(start.images, kind, GAIN_SHARE):
+        return kind, start
+    before, after = further(judge, kind, start), further(judge, "gain-offset", start)
+    if not judge.is_better("gain-offset", before.images, after.images):
+        return kind, start
+    if judge.level("gain-offset", after.images) > LEVEL_LOSS * judge.level(kind, before.images):
+        return kind, start
+    return "gain-offset", after
 
 
 def has_pattern(judge: Judge, seen: Look) -> bool:
@@ -447,51 +437,47 @@ def has_pattern(judge: Judge, seen: Look) -> bool:
     It is sought in what a model of the scene leaves, in which the scene itself is small; and judged against a model that may explain
     the surface itself: a wall that stays at the top of all pictures is no vignetting.
     """
-    fit, validation = judge.fit, judge.validation
-    if len(validation) < DRIFT_FRAMES:
+    fit = judge.fit
+    if len(judge.validation) < DRIFT_FRAMES:
         return False
-    left = fit.drift("offset", fit.images(seen.with_surface.x), fit.everywhere)[1]
-    clean = fit.without(fit.pattern([left[f] for f in judge.rest]))
-    errors = clean.errors("gain-offset", validation, seen.with_surface.shown)
-    return clearly_less(errors, fit.errors("gain-offset", validation, seen.without.shown), PATTERN_GAIN)
+    left = fit.drift("offset", seen.with_surface.images, fit.everywhere)[1]
+    clean = replace(judge, fit=fit.without(fit.pattern([left[f] for f in judge.rest])), surface=None)
+    errors = clean.errors("gain-offset", seen.with_surface.images)
+    return clearly_less(errors, replace(judge, surface=None).errors("gain-offset", seen.without.images), PATTERN_GAIN)
 
 
-def reweighted(
-    fit: Fit,
-    factor: float,
-    iterations: int,
-    kind: Kind,
-    start: Tensor,
-    images: list[Tensor],
-    passes: Passes,
-    surface: Tensor | None = None,
-) -> tuple[Tensor, list[Tensor], Drift, dict[str, list[float]]]:
-    """Huber's loss by reweighted least squares, on all frames, from `start` `[D, 1]` and its images.
+def finish(
+    fit: Fit, factor: float, kind: Kind, start: Solved, iterations: int, passes: Passes
+) -> tuple[Solved, Drift, dict[str, list[float]]]:
+    """By Huber's loss on all frames; gains alternate with the colours.
 
     Iterations are few on purpose: what conjugate gradients find late is what fits the noise.
 
     Returns:
-        Unknowns, their images and drift, before the gauge is fixed; the history.
+        With drift before the gauge is fixed, and the history.
     """
-    x, valid = start, fit.data.valid
-    weights = fit.everywhere
+    valid = fit.data.valid
     history: dict[str, list[float]] = {"step": [], "loss": []}
-    steps = 0
-    for done in range(ROUNDS + 1):
-        drift, left = fit.drift(kind, images, weights)
-        rms = math.sqrt(_squares(left, valid) / (len(left) * float(valid.sum())))
-        history["step"].append(steps)
+
+    def note(step: int, left: Sequence[Tensor]) -> None:
+        rms = math.sqrt(sum(float((valid * r**2).sum()) for r in left) / (len(left) * float(valid.sum())))
+        history["step"].append(step)
         history["loss"].append(rms)
-        if done == ROUNDS:
-            break
-        weights = [valid * (HUBER * rms / r.abs().clamp_min(1e-12)).clamp_max(1.0) for r in left]
-        problem = fit.problem((factor,), range(len(left)), weights=weights, drift=(kind, in_gauge(drift)[0]), surface=surface)
-        shown = [i[..., None] for i in images]
-        solution = solve(problem, x, iterations=iterations, tolerance=TOLERANCE, shown=shown, each=passes)
-        x, steps = solution.x, steps + solution.iterations
-        images = [i[..., 0] for i in solution.shown or ()]
         passes.text = f"residual {rms:.4f}"
-    return x, images, drift, history
+
+    found, weights = start, fit.everywhere
+    turn = DRIFT_ITERATIONS if kind == "gain-offset" else iterations
+    for done in range(0, iterations, turn):
+        note(done, fit.drift(kind, found.images, weights)[1])
+        problem = fit.problem((factor,), range(len(fit.data)), drift=fit.gauged(kind, found.images))
+        shown = [i[..., None] for i in found.images]
+        solution = solve_robustly(
+            problem, found.x, huber=HUBER, iterations=min(turn, iterations - done), shown=shown, each=passes
+        )
+        found, weights = Solved(solution.x, [i[..., 0] for i in solution.shown]), [w[..., 0] for w in solution.weights]
+    drift, left = fit.drift(kind, found.images, weights)
+    note(iterations, left)
+    return found, drift, history
 
 
 def moved(design: Design, x: Tensor, gain: float, offset: float) -> Tensor:
@@ -500,10 +486,6 @@ def moved(design: Design, x: Tensor, gain: float, offset: float) -> Tensor:
     design.harmonics(x)[:, 0] += offset / sh.C0
     x[-1] += offset
     return x
-
-
-def _squares(residuals: Sequence[Tensor], valid: Tensor) -> float:
-    return sum(float((valid * r**2).sum()) for r in residuals)
 
 
 def as_model(
