@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "rtgs"
 
 # First component under rtgs → tier. A package (io, render, …) is one unit: what is inside may import its siblings.
 TIERS: dict[str, float] = {
-    **dict.fromkeys(["errors", "progress"], 0),
+    **dict.fromkeys(["errors", "progress", "threads"], 0),
     **dict.fromkeys(["config"], 0.5),
     **dict.fromkeys(["geometry", "image", "sh", "optim"], 1),
     **dict.fromkeys(["camera", "gaussians", "radiometry"], 2),

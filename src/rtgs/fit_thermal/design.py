@@ -8,8 +8,10 @@ since the weights W, which are most of the work, are theirs in common.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
 
+import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,6 +23,9 @@ from rtgs.fit_thermal import harmonics
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import LinearViews, RenderSettings
+from rtgs.threads import in_order
+
+T = TypeVar("T")
 
 VIEWS_BYTES = 2 << 30
 
@@ -59,6 +64,11 @@ class Design:
         """How many frames."""
         return len(self._centres)
 
+    def each(self, work: Callable[[int], T], frames: Iterable[int]) -> Iterator[T]:
+        """`work` of each frame, in order; by several threads where the frames' weights are kept, so `work` must not add to what it
+        shares with others. PyTorch would split large pictures among threads of its own: NumPy and Numba do not."""
+        return in_order(work, frames, nb.get_num_threads(), lambda frame: not self._views.is_concurrent(frame))
+
     def harmonics(self, x: Tensor) -> Tensor:
         """The view `[N, K, …]` of unknowns `[D, …]`; the background is their last row."""
         return x[:-1].view(self.gaussians, self.coefficients, *x.shape[1:])
@@ -69,11 +79,15 @@ class Design:
         harmonics.colors_of(self._means, self._centres[frame], view.visible, self.harmonics(x).numpy(), colors)
         return view.image(torch.from_numpy(colors), x[-1])
 
-    def add_transpose(self, frame: int, image: Tensor, out: Tensor) -> None:
-        """out `[D, C]` += transpose · image `[h, w, C]`."""
-        colors, background = self.weights(frame, image)
-        self.add_harmonics(frame, colors, self.harmonics(out))
-        out[-1] += background
+    def add_transpose(
+        self, image_of: Callable[[int], Tensor], frames: Sequence[int], out: Tensor, each: Callable[[], None] = lambda: None
+    ) -> None:
+        """out `[D, C]` += Σ transpose · image `[h, w, C]`; `image_of` is called as `each` of this class says, `each` after each frame."""
+        parts = self.each(lambda f: self.weights(f, image_of(f)), frames)
+        for frame, (colors, background) in zip(frames, parts, strict=True):
+            self.add_harmonics(frame, colors, self.harmonics(out))
+            out[-1] += background
+            each()
 
     def weights(self, frame: int, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` and the background's part `[C]`, without harmonics."""

@@ -1,6 +1,7 @@
 """Colours seen from a camera as a linear map of spherical harmonics, its transpose, and the blocks of its square.
 
-`render`'s own harmonics add ½ and clamp; the linear fit does neither. C is the number of problems that are solved side by side.
+`render`'s own harmonics add ½ and clamp; the linear fit does neither. C is the number of problems that are solved side by side. Each
+function is one thread's work and lets go of Python's lock: frames go side by side.
 """
 
 from __future__ import annotations
@@ -15,9 +16,8 @@ from rtgs.sh import C0, C1, C2, C3
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
-CHUNKS = 16  # fixed parts of the Gaussians: each is written by one thread, so the number of threads changes nothing
 
-_jit = nb.njit(parallel=True, fastmath=True, cache=True)
+_jit = nb.njit(nogil=True, fastmath=True, cache=True)
 
 
 @nb.njit(fastmath=True, inline="always")
@@ -44,42 +44,37 @@ def _fill_basis(means: Floats, n: int, centre: Floats, b: Floats) -> None:
 def colors_of(means: Floats, centre: Floats, visible: Ints, sh: Floats, out: Floats) -> None:
     """out `[N, C]` = basis · sh of those in visible `[V]`, the rest is left alone; means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
     _, k, channels = sh.shape
-    for chunk in nb.prange(CHUNKS):
-        b = np.empty(k, np.float32)
-        for v in range(len(visible) * chunk // CHUNKS, len(visible) * (chunk + 1) // CHUNKS):
-            n = visible[v]
-            _fill_basis(means, n, centre, b)
+    b = np.empty(k, np.float32)
+    for n in visible:
+        _fill_basis(means, n, centre, b)
+        for c in range(channels):
+            out[n, c] = 0.0
+        for j in range(k):
             for c in range(channels):
-                out[n, c] = 0.0
-            for j in range(k):
-                for c in range(channels):
-                    out[n, c] += b[j] * sh[n, j, c]
+                out[n, c] += b[j] * sh[n, j, c]
 
 
 @_jit
 def add_transpose(means: Floats, centre: Floats, visible: Ints, colors: Floats, out: Floats) -> None:
     """out `[N, K, C]` += basis ⊗ colors `[N, C]` of those in visible `[V]`."""
     _, k, channels = out.shape
-    for chunk in nb.prange(CHUNKS):
-        b = np.empty(k, np.float32)
-        for v in range(len(visible) * chunk // CHUNKS, len(visible) * (chunk + 1) // CHUNKS):
-            n = visible[v]
-            _fill_basis(means, n, centre, b)
-            for j in range(k):
-                for c in range(channels):
-                    out[n, j, c] += b[j] * colors[n, c]
+    b = np.empty(k, np.float32)
+    for n in visible:
+        _fill_basis(means, n, centre, b)
+        for j in range(k):
+            for c in range(channels):
+                out[n, j, c] += b[j] * colors[n, c]
 
 
 @_jit
 def add_blocks(means: Floats, centre: Floats, weights: Floats, out: Floats) -> None:
     """out `[N, K, K]` += weights `[N]` · basis ⊗ basis."""
     count, k, _ = out.shape
-    for chunk in nb.prange(CHUNKS):
-        b = np.empty(k, np.float32)
-        for n in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-            if weights[n] == 0.0:
-                continue
-            _fill_basis(means, n, centre, b)
-            for j in range(k):
-                for i in range(k):
-                    out[n, j, i] += weights[n] * b[j] * b[i]
+    b = np.empty(k, np.float32)
+    for n in range(count):
+        if weights[n] == 0.0:
+            continue
+        _fill_basis(means, n, centre, b)
+        for j in range(k):
+            for i in range(k):
+                out[n, j, i] += weights[n] * b[j] * b[i]

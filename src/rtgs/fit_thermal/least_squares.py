@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.fit_thermal.design import Design
+from rtgs.render.cpu.planes import products
+
+Planes = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +50,13 @@ class Problem:
     def gradient(self, x: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
         """Half the direction of descent `[D, C]`."""
         out = self.ridge * (self.prior - x)
-        self._add_transpose((self.images[f] - self.design.image(f, x) for f in self.frames), out, each)
+        self._add_transpose(lambda f: planes_of(self.images[f]) - planes_of(self.design.image(f, x)), out, each)
         return out
 
     def normal(self, p: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
         """(designᵀ · weights · design + ridge) · p."""
         out = self.ridge * p
-        self._add_transpose((self.design.image(f, p) for f in self.frames), out, each)
+        self._add_transpose(lambda f: planes_of(self.design.image(f, p)), out, each)
         return out
 
     def precondition(self, r: Tensor) -> Tensor:
@@ -59,20 +64,22 @@ class Problem:
         self.design.harmonics(z).copy_(torch.bmm(self.inverses, self.design.harmonics(r)))
         return z
 
-    def _add_transpose(self, images: Iterable[Tensor], out: Tensor, each: Callable[[], None]) -> None:
-        """out += designᵀ · weights · (images less what offsets and surface would make of them)."""
-        right = torch.zeros(0 if self.surface is None else self.surface.shape[2], out.shape[1])
-        planes = None if self.surface is None else self.surface.permute(2, 0, 1).flatten(1)
-        for f, image in zip(self.frames, images, strict=True):
-            weighted = self._weighted(f, image)
-            if planes is not None:
-                right += planes @ weighted.flatten(0, 1)
-            self.design.add_transpose(f, weighted, out)
-            each()
+    def _add_transpose(self, draw: Callable[[int], Planes], out: Tensor, each: Callable[[], None]) -> None:
+        """out += designᵀ · weights · (what is drawn less what offsets and surface would make of it)."""
+        surface = None if self.surface is None else planes_of(self.surface)
+        amounts: dict[int, Planes] = {}
+
+        def weighted(f: int) -> Tensor:
+            planes = self._weighted(f, draw(f))
+            if surface is not None:
+                amounts[f] = products(surface, planes)
+            return picture_of(planes, self.weights[f].shape)
+
+        self.design.add_transpose(weighted, self.frames, out, each)
         if self.surface is not None:
             inverse, transposed = self._eliminated
-            amounts = inverse @ right
-            out -= transposed @ (amounts if self.surfaces is None else amounts * self.surfaces)
+            amount = inverse @ torch.from_numpy(sum(amounts[f] for f in self.frames))
+            out -= transposed @ (amount if self.surfaces is None else amount * self.surfaces)
 
     @cached_property
     def _eliminated(self) -> tuple[Tensor, Tensor]:
@@ -81,18 +88,27 @@ class Problem:
         weighted = self.surface * self.weights[self.frames[0]][..., None]
         normal = len(self.frames) * torch.einsum("hwb,hwc->bc", self.surface, weighted)
         transposed = torch.zeros(self.design.size, self.surface.shape[2])
-        for f in self.frames:
-            self.design.add_transpose(f, weighted, transposed)
+        self.design.add_transpose(lambda f: weighted, self.frames, transposed)
         return torch.linalg.pinv(normal, hermitian=True), transposed
 
-    def _weighted(self, frame: int, image: Tensor) -> Tensor:
-        """Weights · (image less its weighted mean, where there are offsets)."""
-        weights = self.weights[frame]
-        weighted = image * weights[..., None]
+    def _weighted(self, frame: int, planes: Planes) -> Planes:
+        """Weights · (planes less their weighted means, where there are offsets)."""
+        weights = self.weights[frame].numpy().ravel()
+        weighted = weights * planes
         if self.offsets is not None:
-            means = weighted.sum((0, 1)) / weights.sum().clamp_min(1e-12)
-            weighted.addcmul_(weights[..., None], self.offsets * means, value=-1.0)
+            means = self.offsets.numpy() * weighted.sum(axis=1) / max(float(weights.sum()), 1e-12)
+            weighted -= means[:, None].astype(np.float32) * weights
         return weighted
+
+
+def planes_of(image: Tensor) -> Planes:
+    """`[C, h · w]` of `[h, w, C]`, which most often lies so."""
+    return np.ascontiguousarray(image.permute(2, 0, 1).flatten(1).numpy())
+
+
+def picture_of(planes: Planes, shape: Sequence[int]) -> Tensor:
+    """`[h, w, C]` of `[C, h · w]`."""
+    return torch.from_numpy(planes.reshape(-1, *shape)).permute(1, 2, 0)
 
 
 def preconditioner(blocks: Tensor, background: float, ridge: Tensor, design: Design) -> tuple[Tensor, float]:

@@ -167,8 +167,8 @@ class Fit:
     def images(self, x: Tensor) -> list[Tensor]:
         """`[h, w, C]` a frame, of unknowns `[D, C]`."""
         out = []
-        for f in range(len(self.data)):
-            out.append(self.design.image(f, x))
+        for image in self.design.each(lambda f: self.design.image(f, x), range(len(self.data))):
+            out.append(image)
             self.each()
         return out
 
@@ -337,9 +337,8 @@ class Watch:
 
     def __call__(self, x: Tensor) -> bool:
         fit = self._judge.fit
-        for f in self._judge.validation:
-            self.shown[f] = fit.design.image(f, x)
-            fit.each()
+        images = fit.design.each(lambda f: fit.design.image(f, x), self._judge.validation)
+        self.shown = dict(zip(self._judge.validation, images, strict=True))
         for c, kind in enumerate(self._kinds):
             self.errors[c] = self._judge.errors(kind, {f: image[..., c] for f, image in self.shown.items()}).sum()
         self._before.append(self.errors.clone())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numba as nb
 import numpy as np
@@ -11,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rtgs.fit_thermal.least_squares import Problem, dot, ratio
+from rtgs.fit_thermal.design import Design
+from rtgs.fit_thermal.least_squares import Problem, dot, picture_of, planes_of, ratio
 
 Floats = NDArray[np.float32]
-CHUNKS = 16  # fixed parts of a photograph: each is summed by one thread, so the number of threads changes nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,31 +52,32 @@ def solve_robustly(
     if problem.surface is not None:
         raise ValueError("solve_robustly: a common surface is for `solve`.")
     design, columns = problem.design, problem.ridge.shape[1]
-    misfits = [_Misfit(problem, f, image, columns) for f, image in zip(problem.frames, shown, strict=True)]
-    total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits), np.zeros((columns, 3))).T
-    for misfit in misfits:
+    misfits = {f: _Misfit(problem, f, image, columns) for f, image in zip(problem.frames, shown, strict=True)}
+    total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((columns, 3))).T
+    for misfit in misfits.values():
         misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(1e-12).astype(np.float32)
     x, done = start.expand(-1, columns).clone(), 0
     r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(columns, dtype=torch.float64)
     while done < iterations:
         before, r = r, problem.ridge * (problem.prior - x)
-        for misfit in misfits:
-            design.add_transpose(misfit.frame, misfit.weighted(), r)
-            each()
+        design.add_transpose(lambda f: misfits[f].weighted(), problem.frames, r, each)
         z = problem.precondition(r)
         p = z + ratio(dot(r - before, z).clamp_min(0.0), rz).float() * p
         rz, curvature = dot(r, z), dot(p, problem.ridge * p)
-        moves = [_planes(design.image(m.frame, p)) for m in misfits]
-        for misfit, move in zip(misfits, moves, strict=True):
-            curvature += misfit.curvature(move)
+        for of_frame in design.each(partial(_curvature, misfits, design, p), problem.frames):
+            curvature += of_frame
         step = ratio(dot(r, p), curvature).float()
         x += step * p
-        for misfit, move in zip(misfits, moves, strict=True):
-            misfit.left -= step.numpy()[:, None] * move
+        for misfit in misfits.values():
+            misfit.go(step.numpy())
         done += 1
         if settled(x):
             break
-    return RobustSolution(x, done, [m.shown() for m in misfits], [m.weights() for m in misfits])
+    return RobustSolution(x, done, [m.shown() for m in misfits.values()], [m.weights() for m in misfits.values()])
+
+
+def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
+    return misfits[frame].curvature(planes_of(design.image(frame, p)))
 
 
 class _Misfit:
@@ -88,17 +90,18 @@ class _Misfit:
     """
 
     def __init__(self, problem: Problem, frame: int, shown: Tensor, columns: int) -> None:
-        self.frame, self._photograph = frame, problem.images[frame]
+        self._photograph = problem.images[frame]
         self._shape, self._given = shown.shape[:2], problem.weights[frame].numpy().ravel()
-        left = _planes(self._photograph - shown)
+        left = planes_of(self._photograph - shown)
         self.left = left if len(left) == columns else np.repeat(left, columns, axis=0)
         self._offsets = None if problem.offsets is None else problem.offsets.numpy()
         self.bound, self.level = np.full(columns, 1e30, np.float32), np.zeros(columns, np.float32)
         self.level = self._centre = self._mean()
+        self._move = self.left[:, :0]
 
     def moments(self, values: Floats) -> NDArray[np.float64]:
         """`[C, 3]`: Σ weights · (1, v, v²) of values `[C, h · w]`."""
-        return np.asarray(_moments(self.left, self._given, self.level, self.bound, values).sum(axis=1))
+        return np.asarray(_moments(self.left, self._given, self.level, self.bound, values))
 
     def weighted(self) -> Tensor:
         """`[h, w, C]`: new weights times what is left, the offset that suits them best taken out."""
@@ -106,21 +109,26 @@ class _Misfit:
         self._centre = self._mean()
         out = np.empty_like(self.left)
         _weigh(self.left, self._given, self.level, self.bound, self._centre, out)
-        return self._picture(out)
+        return picture_of(out, self._shape)
 
     def curvature(self, move: Floats) -> Tensor:
-        """`[C]`: Σ weights · move², less what the offset takes of it."""
+        """`[C]`: Σ weights · move², less what the offset takes of it; remembers the move, `[C, h · w]`."""
+        self._move = move
         total, first, second = self.moments(move).T
         if self._offsets is not None:
             second = second - self._offsets * first**2 / total.clip(1e-12)
         return torch.from_numpy(second)
 
+    def go(self, step: Floats) -> None:
+        """The remembered move, so far."""
+        self.left -= step[:, None] * self._move
+
     def shown(self) -> Tensor:
-        return self._photograph - self._picture(self.left)
+        return self._photograph - picture_of(self.left, self._shape)
 
     def weights(self) -> Tensor:
         away = np.abs(self.left - self._centre[:, None])
-        return self._picture(self._given * (self.bound[:, None] / np.maximum(away, self.bound[:, None])))
+        return picture_of(self._given * (self.bound[:, None] / np.maximum(away, self.bound[:, None])), self._shape)
 
     def _mean(self) -> Floats:
         if self._offsets is None:
@@ -128,37 +136,24 @@ class _Misfit:
         total, first, _ = self.moments(self.left).T
         return (self._offsets * first / total.clip(1e-12)).astype(np.float32)
 
-    def _picture(self, planes: Floats) -> Tensor:
-        return torch.from_numpy(planes.reshape(-1, *self._shape)).permute(1, 2, 0)
 
-
-def _planes(image: Tensor) -> Floats:
-    """`[C, h · w]` of `[h, w, C]`, which most often lies so."""
-    return np.ascontiguousarray(image.permute(2, 0, 1).flatten(1).numpy())
-
-
-@nb.njit(parallel=True, fastmath=True, cache=True)
+@nb.njit(nogil=True, fastmath=True, cache=True)
 def _moments(left: Floats, given: Floats, level: Floats, bound: Floats, values: Floats) -> NDArray[np.float64]:
-    """`[C, CHUNKS, 3]`."""
-    columns, pixels = left.shape
-    out = np.zeros((columns, CHUNKS, 3))
-    for chunk in nb.prange(CHUNKS):
-        for c in range(columns):
-            total, first, second = np.float32(0), np.float32(0), np.float32(0)
-            for i in range(pixels * chunk // CHUNKS, pixels * (chunk + 1) // CHUNKS):
-                w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
-                total += w
-                first += w * values[c, i]
-                second += w * values[c, i] * values[c, i]
-            out[c, chunk] = total, first, second
+    out = np.empty((len(left), 3))
+    for c in range(len(left)):
+        total, first, second = np.float32(0), np.float32(0), np.float32(0)
+        for i in range(left.shape[1]):
+            w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
+            total += w
+            first += w * values[c, i]
+            second += w * values[c, i] * values[c, i]
+        out[c] = total, first, second
     return out
 
 
-@nb.njit(parallel=True, fastmath=True, cache=True)
+@nb.njit(nogil=True, fastmath=True, cache=True)
 def _weigh(left: Floats, given: Floats, level: Floats, bound: Floats, centre: Floats, out: Floats) -> None:
-    columns, pixels = left.shape
-    for chunk in nb.prange(CHUNKS):
-        for c in range(columns):
-            for i in range(pixels * chunk // CHUNKS, pixels * (chunk + 1) // CHUNKS):
-                w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
-                out[c, i] = w * (left[c, i] - centre[c])
+    for c in range(len(left)):
+        for i in range(left.shape[1]):
+            w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
+            out[c, i] = w * (left[c, i] - centre[c])

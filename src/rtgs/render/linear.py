@@ -19,6 +19,7 @@ from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import cpu, reference
+from rtgs.render.cpu.planes import add_behind, products
 from rtgs.render.cpu.splats import Splats
 from rtgs.render.cpu.weights import Survey, Weights
 from rtgs.render.settings import RenderSettings
@@ -81,17 +82,31 @@ class LinearRender:
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
         picture = self._backend.image(colors)
-        return picture if background is None else picture.addcmul_(self._through[..., None], background)
+        if background is None:
+            return picture
+        planes = picture.permute(2, 0, 1)
+        if picture.dtype != torch.float32 or not planes.is_contiguous():
+            return picture.addcmul_(self._through[..., None], background)
+        add_behind(planes.flatten(1).numpy(), self._through.flatten().numpy(), background.float().contiguous().numpy())
+        return picture
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
-        background = image.to(self._through.dtype).permute(2, 0, 1).flatten(1) @ self._through.flatten()
-        return self._backend.adjoint(image), background
+        planes = image.to(self._through.dtype).permute(2, 0, 1).flatten(1)
+        if planes.dtype != torch.float32:
+            return self._backend.adjoint(image), planes @ self._through.flatten()
+        background = products(np.ascontiguousarray(planes.numpy()), self._through.flatten()[None].numpy())
+        return self._backend.adjoint(image), torch.from_numpy(background[:, 0].copy())
 
     def keep_weights(self, within: int) -> None:
         """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
-        a third to two fifths of the time. "cpu" only; "reference" goes on as before."""
+        a third to two fifths of the processor's time, on one thread: views go side by side. "cpu" only; "reference" goes on as before."""
         self._backend.keep_weights(within)
+
+    @property
+    def is_concurrent(self) -> bool:
+        """Whether several threads may use it, and other views, at once: where weights are kept, each use is one thread's work."""
+        return self._backend.is_concurrent
 
     @property
     def nbytes(self) -> int:
@@ -140,6 +155,10 @@ class LinearViews(Sequence[LinearRender]):
             self._kept[index] = view
             self._left -= view.nbytes
         return self._kept[index]
+
+    def is_concurrent(self, index: int) -> bool:
+        """Whether `views[index]` is kept and several threads may use it (see `LinearRender.is_concurrent`)."""
+        return index in self._kept and self._kept[index].is_concurrent
 
 
 class _Cpu:
@@ -203,6 +222,10 @@ class _Cpu:
             self.visible = self._map.seen
 
     @property
+    def is_concurrent(self) -> bool:
+        return isinstance(self._map, Weights)
+
+    @property
     def nbytes(self) -> int:
         height, width = self._map.shape
         return self._map.nbytes + 4 * height * width + (self.visible.nbytes if isinstance(self._map, Splats) else 0)
@@ -251,9 +274,8 @@ class _Reference:
             return torch.zeros_like(colors)
         return torch.autograd.grad(picture, colors, image)[0]
 
+    is_concurrent = False
+    nbytes = 0
+
     def keep_weights(self, within: int) -> None:
         pass
-
-    @property
-    def nbytes(self) -> int:
-        return 0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.render.cpu.channels import add_scaled, no_lanes
-from rtgs.render.cpu.layout import BATCH, CHUNKS, ETA, PATCH, SPLAT, X, Y
+from rtgs.render.cpu.layout import BATCH, ETA, PATCH, SPLAT, X, Y
 from rtgs.render.cpu.patch import (
     AREA,
     F,
@@ -180,73 +180,60 @@ def _place_planes(state, factor, top, left, image):
                     flat[start + i] = state[at + i] * factor
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
-def _image(tile_order, threads, side, starts, splats, masks, weights, channels, colors, image):
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _image(side, starts, splats, masks, weights, channels, colors, image):
     across, patches = (image.shape[2] + side - 1) // side, (side // PATCH) ** 2
-    taken = np.zeros(1, np.int64)
-    for _thread in nb.prange(threads):
-        state = aligned(len(channels) * AREA)
-        for _ in range(len(tile_order)):
-            n = take_next(taken)
-            if n >= len(tile_order):
-                break
-            tile = tile_order[n]
-            left, top = tile % across * side, tile // across * side
-            down, columns = patches_of(side, top, left, image.shape[1:])
-            for p in range(down * columns):
-                for c in range(len(channels)):
-                    fill(state, c * AREA, F(0))
-                meeting, row = starts[tile * patches + p]
-                for m in range(meeting, starts[tile * patches + p + 1, 0]):
-                    bits, color = np.int64(masks[m]), splats[m] * len(channels)
-                    while bits != 0:
-                        i = lowest_bit(bits) * PATCH
-                        bits &= bits - 1
-                        w = load_uint16(weights, row * LANES)
-                        row += 1
-                        for c in range(len(channels)):
-                            store(state, i, load(state, i) + w * colors[color + c])
-                            i += AREA
-                _place_planes(state, F(1 / UNIT), top + p // columns * PATCH, left + p % columns * PATCH, image)
+    state = aligned(len(channels) * AREA)
+    for tile in range((len(starts) - 1) // patches):
+        left, top = tile % across * side, tile // across * side
+        down, columns = patches_of(side, top, left, image.shape[1:])
+        for p in range(down * columns):
+            for c in range(len(channels)):
+                fill(state, c * AREA, F(0))
+            meeting, row = starts[tile * patches + p]
+            for m in range(meeting, starts[tile * patches + p + 1, 0]):
+                bits, color = np.int64(masks[m]), splats[m] * len(channels)
+                while bits != 0:
+                    i = lowest_bit(bits) * PATCH
+                    bits &= bits - 1
+                    w = load_uint16(weights, row * LANES)
+                    row += 1
+                    for c in range(len(channels)):
+                        store(state, i, load(state, i) + w * colors[color + c])
+                        i += AREA
+            _place_planes(state, F(1 / UNIT), top + p // columns * PATCH, left + p % columns * PATCH, image)
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
-def _adjoint(tile_order, threads, side, starts, splats, masks, weights, channels, image, sums):
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _adjoint(side, starts, splats, masks, weights, channels, image, sums):
     """`sums` `[M · C]`, of each meeting."""
     across, patches = (image.shape[2] + side - 1) // side, (side // PATCH) ** 2
-    taken = np.zeros(1, np.int64)
-    for _thread in nb.prange(threads):
-        state = aligned(len(channels) * AREA)
-        for _ in range(len(tile_order)):
-            n = take_next(taken)
-            if n >= len(tile_order):
-                break
-            tile = tile_order[n]
-            left, top = tile % across * side, tile // across * side
-            down, columns = patches_of(side, top, left, image.shape[1:])
-            for p in range(down * columns):
-                _fetch_planes(image, top + p // columns * PATCH, left + p % columns * PATCH, state)
-                meeting, row = starts[tile * patches + p]
-                for m in range(meeting, starts[tile * patches + p + 1, 0]):
-                    bits, colors = np.int64(masks[m]), no_lanes(channels)
-                    while bits != 0:
-                        i = lowest_bit(bits) * PATCH
-                        bits &= bits - 1
-                        colors = add_scaled(colors, load_uint16(weights, row * LANES), state, i, AREA)
-                        row += 1
-                    for c in range(len(channels)):
-                        sums[m * len(channels) + c] = F(1 / UNIT) * total(colors[c])
+    state = aligned(len(channels) * AREA)
+    for tile in range((len(starts) - 1) // patches):
+        left, top = tile % across * side, tile // across * side
+        down, columns = patches_of(side, top, left, image.shape[1:])
+        for p in range(down * columns):
+            _fetch_planes(image, top + p // columns * PATCH, left + p % columns * PATCH, state)
+            meeting, row = starts[tile * patches + p]
+            for m in range(meeting, starts[tile * patches + p + 1, 0]):
+                bits, colors = np.int64(masks[m]), no_lanes(channels)
+                while bits != 0:
+                    i = lowest_bit(bits) * PATCH
+                    bits &= bits - 1
+                    colors = add_scaled(colors, load_uint16(weights, row * LANES), state, i, AREA)
+                    row += 1
+                for c in range(len(channels)):
+                    sums[m * len(channels) + c] = F(1 / UNIT) * total(colors[c])
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _gather(seen, seen_starts, order, sums, out):
     """out `[N, C]` = Σ of each Gaussian's meetings, where it has any."""
     channels = out.shape[1]
-    for chunk in nb.prange(CHUNKS):
-        for v in range(chunk * len(seen) // CHUNKS, (chunk + 1) * len(seen) // CHUNKS):
-            for j in range(seen_starts[v], seen_starts[v + 1]):
-                for c in range(channels):
-                    out[seen[v], c] += sums[order[j] * channels + c]
+    for v in range(len(seen)):
+        for j in range(seen_starts[v], seen_starts[v + 1]):
+            for c in range(channels):
+                out[seen[v], c] += sums[order[j] * channels + c]
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,15 +269,14 @@ class Survey:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """W of one view.
+    """W of one view. Its products are one thread's work and let go of Python's lock: views go side by side.
 
     Attributes:
-        tile_order, side: as in `Splats`. starts: `[P + 1, 2]`, meetings and rows before each patch of each tile.
+        side: as in `Splats`. starts: `[P + 1, 2]`, meetings and rows before each patch of each tile.
         splats: `[M]`, of each meeting. masks: `[M]`, bits of its rows. weights: `[R · 16]`.
         seen: `[V]`, Gaussians with a meeting; theirs are `order[seen_starts[v] : seen_starts[v + 1]]`.
     """
 
-    tile_order: NDArray[np.int64]
     side: int
     starts: NDArray[np.int64]
     splats: NDArray[np.int32]
@@ -313,13 +299,11 @@ class Weights:
         _weigh(*arguments)
         gaussians = len(splats.tiles)
         seen, seen_starts, order = _by_splat(whose, gaussians)
-        return Weights(
-            splats.tile_order, splats.side, starts, whose, masks, weights, seen, seen_starts, order, splats.shape, gaussians
-        )
+        return Weights(splats.side, starts, whose, masks, weights, seen, seen_starts, order, splats.shape, gaussians)
 
     @property
     def _matrix(self) -> list[Any]:
-        return [self.tile_order, nb.get_num_threads(), self.side, self.starts, self.splats, self.masks, self.weights]
+        return [self.side, self.starts, self.splats, self.masks, self.weights]
 
     def image(self, colors: NDArray[np.float32]) -> NDArray[np.float32]:
         """`[H, W, C]` of `[N, C]`; each channel lies in one piece."""
