@@ -500,6 +500,19 @@ def test_same_twice() -> None:
     assert torch.equal(a.gaussians.sh, b.gaussians.sh) and torch.equal(a.background, b.background)
 
 
+@pytest.mark.parametrize("kept_bytes", [2 << 30, 1_200_000, 300_000])
+def test_threads_change_nothing(kept_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor where eight of 28 views have their weights kept and the others their lists, or half of them nothing."""
+    design = importlib.import_module("rtgs.fit_thermal.design")
+    scene, rgb, _ = ring()
+    monkeypatch.setattr(Design.__init__, "__kwdefaults__", {"every": 1, "kept_bytes": kept_bytes})
+    models = []
+    for threads in (1, 3):
+        monkeypatch.setattr(design.nb, "get_num_threads", lambda threads=threads: threads)
+        models.append(fit_thermal(outliers(scene), rgb, SFM_PER_METRE, LINEAR))
+    assert torch.equal(models[0].gaussians.sh, models[1].gaussians.sh) and models[0].drift == models[1].drift
+
+
 # --- drift ------------------------------------------------------------------------------------------
 
 

@@ -8,7 +8,7 @@ since the weights W, which are most of the work, are theirs in common.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numba as nb
@@ -64,7 +64,7 @@ class Design:
         """How many frames."""
         return len(self._centres)
 
-    def each(self, work: Callable[[int], T], frames: Iterable[int]) -> Iterator[T]:
+    def each(self, work: Callable[[int], T], frames: Sequence[int]) -> Iterator[T]:
         """`work` of each frame, in order; by several threads where the frames' weights are kept, so `work` must not add to what it
         shares with others. PyTorch would split large pictures among threads of its own: NumPy and Numba do not."""
         return in_order(work, frames, nb.get_num_threads(), lambda frame: not self._views.is_concurrent(frame))

@@ -93,11 +93,12 @@ class Problem:
 
     def _weighted(self, frame: int, planes: Planes) -> Planes:
         """Weights · (planes less their weighted means, where there are offsets)."""
-        weights = self.weights[frame].numpy().ravel()
-        weighted = weights * planes
-        if self.offsets is not None:
-            means = self.offsets.numpy() * weighted.sum(axis=1) / max(float(weights.sum()), 1e-12)
-            weighted -= means[:, None].astype(np.float32) * weights
+        weights = self.weights[frame].numpy().reshape(1, -1)
+        if self.offsets is None:
+            return weights * planes
+        means = self.offsets.numpy() * products(weights, planes)[0] / max(float(weights.sum()), 1e-12)
+        weighted = planes - means[:, None].astype(np.float32)
+        weighted *= weights
         return weighted
 
 

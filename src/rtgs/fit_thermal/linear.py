@@ -35,7 +35,7 @@ from rtgs.sensor import quadratic_terms, sensor_pattern
 # geometry gets wrong is as large in a hundred pixels as in one, and view dependence would make up for it.
 RIDGE_PX = 0.03
 RIDGE_SHARE = 0.01
-RIDGE_FACTORS = (0.01, 0.1, 0.3, 1.0, 3.0)  # tried on validation frames
+RIDGE_FACTORS = (0.1, 0.3, 1.0, 3.0)  # tried on validation frames
 DEFAULT_FACTOR = 0.3  # where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
@@ -179,8 +179,10 @@ class Fit:
             surface: what suits all these frames best of it is taken out besides.
         """
         valid, photographs = self.data.valid, [self.data.images[f] for f in frames]
-        drift = estimate(kind, self.median, images, photographs, [valid] * len(frames))
-        left = torch.stack([y - drift.of(f, image) for f, (y, image) in enumerate(zip(photographs, images, strict=True))])
+        if kind != "off":
+            drift = estimate(kind, self.median, images, photographs, [valid] * len(frames))
+            images = [drift.of(f, image) for f, image in enumerate(images)]
+        left = torch.stack([y - image for y, image in zip(photographs, images, strict=True)])
         if surface is not None:
             normal = torch.einsum("hwb,hwc,hw->bc", surface, surface, valid)
             right = torch.einsum("hwb,hw->b", surface, valid * left.mean(0))

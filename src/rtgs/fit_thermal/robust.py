@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.least_squares import Problem, dot, picture_of, planes_of, ratio
+from rtgs.render.cpu.planes import add_each
 
 Floats = NDArray[np.float32]
 
@@ -68,8 +69,8 @@ def solve_robustly(
             curvature += of_frame
         step = ratio(dot(r, p), curvature).float()
         x += step * p
-        for misfit in misfits.values():
-            misfit.go(step.numpy())
+        for _ in design.each(partial(_go, misfits, step.numpy()), problem.frames):
+            pass
         done += 1
         if settled(x):
             break
@@ -78,6 +79,10 @@ def solve_robustly(
 
 def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
     return misfits[frame].curvature(planes_of(design.image(frame, p)))
+
+
+def _go(misfits: Mapping[int, _Misfit], step: Floats, frame: int) -> None:
+    misfits[frame].go(step)
 
 
 class _Misfit:
@@ -121,7 +126,7 @@ class _Misfit:
 
     def go(self, step: Floats) -> None:
         """The remembered move, so far."""
-        self.left -= step[:, None] * self._move
+        add_each(self.left, -step, self._move)
 
     def shown(self) -> Tensor:
         return self._photograph - picture_of(self.left, self._shape)

@@ -19,7 +19,7 @@ from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import cpu, reference
-from rtgs.render.cpu.planes import add_behind, products
+from rtgs.render.cpu.planes import add_each, products
 from rtgs.render.cpu.splats import Splats
 from rtgs.render.cpu.weights import Survey, Weights
 from rtgs.render.settings import RenderSettings
@@ -87,7 +87,7 @@ class LinearRender:
         planes = picture.permute(2, 0, 1)
         if picture.dtype != torch.float32 or not planes.is_contiguous():
             return picture.addcmul_(self._through[..., None], background)
-        add_behind(planes.flatten(1).numpy(), self._through.flatten().numpy(), background.float().contiguous().numpy())
+        add_each(planes.flatten(1).numpy(), background.float().contiguous().numpy(), self._through.flatten()[None].numpy())
         return picture
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,12 +10,13 @@ Planes = NDArray[np.float32]
 
 
 @nb.njit(nogil=True, fastmath=True, cache=True)
-def add_behind(planes: Planes, through: Planes, background: Planes) -> None:
-    """planes `[C, P]` += background `[C]` · through `[P]`."""
+def add_each(planes: Planes, factors: Planes, others: Planes) -> None:
+    """planes `[C, P]` += factors `[C]` · others `[C or 1, P]`."""
     channels, pixels = planes.shape
     for c in range(channels):
+        other = others[c % len(others)]
         for i in range(pixels):
-            planes[c, i] += background[c] * through[i]
+            planes[c, i] += factors[c] * other[i]
 
 
 @nb.njit(nogil=True, fastmath=True, cache=True)
