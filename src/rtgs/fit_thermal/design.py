@@ -8,7 +8,8 @@ since the weights W, which are most of the work, are theirs in common.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from typing import TypeVar
 
 import numba as nb
@@ -64,9 +65,9 @@ class Design:
         """How many frames."""
         return len(self._centres)
 
-    def each(self, work: Callable[[int], T], frames: Sequence[int]) -> Iterator[T]:
-        """`work` of each frame, in order; by several threads where the frames' weights are kept, so `work` must not add to what it
-        shares with others. PyTorch would split large pictures among threads of its own: NumPy and Numba do not."""
+    def each(self, work: Callable[[int], T], frames: Sequence[int]) -> Generator[T]:
+        """`work` of each frame, in order; by several threads where the frames' weights are kept, so of what it shares with others `work`
+        writes what is the frame's alone. PyTorch would split large pictures among threads of its own: NumPy and Numba do not."""
         return in_order(work, frames, nb.get_num_threads(), lambda frame: not self._views.is_concurrent(frame))
 
     def harmonics(self, x: Tensor) -> Tensor:
@@ -83,11 +84,11 @@ class Design:
         self, image_of: Callable[[int], Tensor], frames: Sequence[int], out: Tensor, each: Callable[[], None] = lambda: None
     ) -> None:
         """out `[D, C]` += Σ transpose · image `[h, w, C]`; `image_of` is called as `each` of this class says, `each` after each frame."""
-        parts = self.each(lambda f: self.weights(f, image_of(f)), frames)
-        for frame, (colors, background) in zip(frames, parts, strict=True):
-            self.add_harmonics(frame, colors, self.harmonics(out))
-            out[-1] += background
-            each()
+        with closing(self.each(lambda f: self.weights(f, image_of(f)), frames)) as parts:
+            for frame, (colors, background) in zip(frames, parts, strict=True):
+                self.add_harmonics(frame, colors, self.harmonics(out))
+                out[-1] += background
+                each()
 
     def weights(self, frame: int, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` and the background's part `[C]`, without harmonics."""

@@ -85,6 +85,8 @@ class Problem:
     def _eliminated(self) -> tuple[Tensor, Tensor]:
         """Of the surface: the inverse of its normal matrix `[B, B]`, and Σ_f designᵀ · weights · surface `[D, B]`."""
         assert self.surface is not None
+        if any(self.weights[f] is not self.weights[self.frames[0]] for f in self.frames):
+            raise ValueError("Problem: a common surface wants the same weights for all frames.")
         weighted = self.surface * self.weights[self.frames[0]][..., None]
         normal = len(self.frames) * torch.einsum("hwb,hwc->bc", self.surface, weighted)
         transposed = torch.zeros(self.design.size, self.surface.shape[2])

@@ -36,7 +36,7 @@ from rtgs.sensor import quadratic_terms, sensor_pattern
 RIDGE_PX = 0.03
 RIDGE_SHARE = 0.01
 RIDGE_FACTORS = (0.1, 0.3, 1.0, 3.0)  # tried on validation frames
-DEFAULT_FACTOR = 0.3  # where there are too few frames to try
+DEFAULT_FACTOR = 0.3  # until one is chosen, and where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
 SETTLED_SHARE, SETTLED_AFTER = 0.02, 2  # a validation error that fell by less over so many iterations
@@ -47,7 +47,8 @@ DRIFT_GAIN, LEVEL_LOSS = 0.005, 1.25  # differences are predicted better by this
 PATTERN_GAIN = 0.02  # what vignetting there is explains a third of the error or more, what there is not up to one per cent
 DRIFT_ITERATIONS = 4
 ITERATIONS = 60
-USUAL_PASSES = 22
+UNSEEN_ITERATIONS = 20  # where no frame is left to say when it is enough
+USUAL_PASSES = 40
 LAST_ITERATIONS = 8  # on all frames, from what most of them led to
 PIXELS = 2_800_000  # of all photographs together are looked at, or one row of
 MOST_ROWS = 4
@@ -94,7 +95,7 @@ class Evidence:
 def gather(design: Design, data: ThermalFrames, each: Callable[[], None] = lambda: None) -> Evidence:
     """One pass over all frames."""
     n, k = design.gaussians, design.coefficients
-    level = sum(float(i.sum()) for i in data.images) / (len(data) * float(data.valid.sum()))
+    level = sum(float((data.valid * i).sum()) for i in data.images) / (len(data) * float(data.valid.sum()))
     sums, blocks = torch.zeros(n + 1, 2), torch.zeros(n, k, k)
     for f in range(len(data)):
         colors, background = design.weights(f, torch.stack([data.valid * (data.images[f] - level), data.valid], dim=-1))
@@ -244,7 +245,7 @@ def fit_linear(
     factor, found = choose_ridge(judge, kind, found)
     if patterned:  # of all frames, and of images that no longer have a part in it
         judge = replace(judge, fit=fit.without(pattern()))
-    found, drift, history = finish(judge.fit, factor, kind, found, LAST_ITERATIONS if validation else ITERATIONS, passes)
+    found, drift, history = finish(judge.fit, factor, kind, found, LAST_ITERATIONS, passes)
     x = found.x
     if patterned and every > 1:
         fit = replace(fit, design=design(kept_bytes=0), data=whole)  # looked at once
@@ -273,7 +274,7 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """What validation frames say of drift.
+    """What validation frames say of drift, of the sensor's pattern and of ridges.
 
     A frame's own offset and gain are unknown where the frame was not fitted, so models are compared by *differences* within validation
     frames: by the mean absolute error after the best offset, or gain and offset, has been taken out for both alike. And levels, with the
@@ -374,7 +375,9 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     """
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
     if not judge.validation:
-        only = Solved.of(fit, start)[0]
+        only = Solved.of(
+            fit, solve(fit.problem((DEFAULT_FACTOR,), judge.rest), start, iterations=UNSEEN_ITERATIONS, each=fit.each).x
+        )[0]
         return Look("off" if drift == "auto" else drift, only, False, only, only)
     offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
     problem = fit.problem((DEFAULT_FACTOR,) * 3, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
@@ -395,14 +398,14 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
 def robustly(
     judge: Judge, factors: Sequence[float], kind: Kind, start: Solved, iterations: int, watch: Watch | None = None
 ) -> list[Solved]:
-    """Under several ridges, by Huber's loss, with the gains that suit the images of `start`: gains and colours alternate."""
+    """Under several ridges, by Huber's loss, with the gains that suit the images of `start`."""
     fit, rest = judge.fit, judge.rest
     problem = fit.problem(factors, rest, drift=fit.gauged(kind, start.images))
     shown = [start.images[f][..., None] for f in rest]
     settled = watch or (lambda x: False)
     solution = solve_robustly(problem, start.x, huber=HUBER, iterations=iterations, shown=shown, settled=settled, each=fit.each)
-    known = dict(zip(rest, solution.shown, strict=True))
-    return Solved.of(fit, solution.x, known | {f: fit.design.image(f, solution.x) for f in judge.validation})
+    known = {f: solution.shown(f) for f in rest} | {f: fit.design.image(f, solution.x) for f in judge.validation}
+    return Solved.of(fit, solution.x, known)
 
 
 def choose_ridge(judge: Judge, kind: Kind, start: Solved) -> tuple[float, Solved]:
@@ -412,7 +415,7 @@ def choose_ridge(judge: Judge, kind: Kind, start: Solved) -> tuple[float, Solved
     watch = Watch(judge, [kind] * len(RIDGE_FACTORS))
     solved = robustly(judge, RIDGE_FACTORS, kind, start, ITERATIONS, watch)
     chosen = int(watch.errors.argmin())
-    return RIDGE_FACTORS[chosen], solved[chosen]
+    return RIDGE_FACTORS[chosen], Solved(solved[chosen].x, [i.clone() for i in solved[chosen].images])  # the others may go
 
 
 def further(judge: Judge, kind: Kind, start: Solved) -> Solved:
@@ -469,13 +472,15 @@ def finish(
     found, weights = start, fit.everywhere
     turn = DRIFT_ITERATIONS if kind == "gain-offset" else iterations
     for done in range(0, iterations, turn):
-        note(done, fit.drift(kind, found.images, weights)[1])
-        problem = fit.problem((factor,), range(len(fit.data)), drift=fit.gauged(kind, found.images))
+        drift, left = fit.drift(kind, found.images, weights)
+        note(done, left)
+        problem = fit.problem((factor,), range(len(fit.data)), drift=(kind, in_gauge(drift)[0]))
         shown = [i[..., None] for i in found.images]
         solution = solve_robustly(
             problem, found.x, huber=HUBER, iterations=min(turn, iterations - done), shown=shown, each=passes
         )
-        found, weights = Solved(solution.x, [i[..., 0] for i in solution.shown]), [w[..., 0] for w in solution.weights]
+        found = Solved(solution.x, [solution.shown(f)[..., 0] for f in range(len(fit.data))])
+        weights = [solution.weights(f)[..., 0] for f in range(len(fit.data))]
     drift, left = fit.drift(kind, found.images, weights)
     note(iterations, left)
     return found, drift, history

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,14 +20,24 @@ from rtgs.render.cpu.planes import add_each
 Floats = NDArray[np.float32]
 
 
+SMALLEST_BOUND = 1e-4  # of the range: a start that fits exactly says nothing of how large errors are
+
+
 @dataclass(frozen=True, eq=False)
 class RobustSolution:
-    """`x` `[D, C]`; `iterations`; of each frame `[h, w, C]`: `shown`, design · x, and `weights`, the problem's times Huber's."""
+    """`x` `[D, C]`, and how many iterations it took."""
 
     x: Tensor
     iterations: int
-    shown: list[Tensor]
-    weights: list[Tensor]
+    _misfits: Mapping[int, _Misfit]
+
+    def shown(self, frame: int) -> Tensor:
+        """`[h, w, C]`: design · x of one of the problem's frames."""
+        return self._misfits[frame].shown()
+
+    def weights(self, frame: int) -> Tensor:
+        """`[h, w, C]`: the problem's, times Huber's."""
+        return self._misfits[frame].weights()
 
 
 def solve_robustly(
@@ -56,7 +67,7 @@ def solve_robustly(
     misfits = {f: _Misfit(problem, f, image, columns) for f, image in zip(problem.frames, shown, strict=True)}
     total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((columns, 3))).T
     for misfit in misfits.values():
-        misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(1e-12).astype(np.float32)
+        misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(SMALLEST_BOUND).astype(np.float32)
     x, done = start.expand(-1, columns).clone(), 0
     r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(columns, dtype=torch.float64)
     while done < iterations:
@@ -65,16 +76,17 @@ def solve_robustly(
         z = problem.precondition(r)
         p = z + ratio(dot(r - before, z).clamp_min(0.0), rz).float() * p
         rz, curvature = dot(r, z), dot(p, problem.ridge * p)
-        for of_frame in design.each(partial(_curvature, misfits, design, p), problem.frames):
-            curvature += of_frame
+        with closing(design.each(partial(_curvature, misfits, design, p), problem.frames)) as parts:
+            for of_frame in parts:
+                curvature += of_frame
         step = ratio(dot(r, p), curvature).float()
         x += step * p
         for _ in design.each(partial(_go, misfits, step.numpy()), problem.frames):
             pass
         done += 1
-        if settled(x):
+        if settled(x) or bool((rz == 0).all()):
             break
-    return RobustSolution(x, done, [m.shown() for m in misfits.values()], [m.weights() for m in misfits.values()])
+    return RobustSolution(x, done, misfits)
 
 
 def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
@@ -91,7 +103,7 @@ class _Misfit:
     Attributes:
         left: `[C, h · w]`, photograph less design · x.
         bound: `[C]`, beyond which less counts.
-        level: `[C]`, the frame's offset, from which the weights are told; 0 where a problem has none.
+        level: `[C]`, the offset by which the weights are told; 0 where a problem has none.
     """
 
     def __init__(self, problem: Problem, frame: int, shown: Tensor, columns: int) -> None:
@@ -101,8 +113,8 @@ class _Misfit:
         self.left = left if len(left) == columns else np.repeat(left, columns, axis=0)
         self._offsets = None if problem.offsets is None else problem.offsets.numpy()
         self.bound, self.level = np.full(columns, 1e30, np.float32), np.zeros(columns, np.float32)
-        self.level = self._centre = self._mean()
-        self._move = self.left[:, :0]
+        self.level = self._mean()
+        self._centre, self._move, self._shift = self.level, self.left[:, :0], self.level
 
     def moments(self, values: Floats) -> NDArray[np.float64]:
         """`[C, 3]`: Σ weights · (1, v, v²) of values `[C, h · w]`."""
@@ -111,7 +123,8 @@ class _Misfit:
     def weighted(self) -> Tensor:
         """`[h, w, C]`: new weights times what is left, the offset that suits them best taken out."""
         self.level = self._centre
-        self._centre = self._mean()
+        if self._offsets is not None:
+            self._centre = self._mean()
         out = np.empty_like(self.left)
         _weigh(self.left, self._given, self.level, self.bound, self._centre, out)
         return picture_of(out, self._shape)
@@ -121,12 +134,14 @@ class _Misfit:
         self._move = move
         total, first, second = self.moments(move).T
         if self._offsets is not None:
-            second = second - self._offsets * first**2 / total.clip(1e-12)
+            shift = self._offsets * first / total.clip(1e-12)
+            second, self._shift = second - shift * first, shift.astype(np.float32)
         return torch.from_numpy(second)
 
     def go(self, step: Floats) -> None:
-        """The remembered move, so far."""
+        """The remembered move, so far; the offset that suits goes with it."""
         add_each(self.left, -step, self._move)
+        self._centre = self._centre - step * self._shift
 
     def shown(self) -> Tensor:
         return self._photograph - picture_of(self.left, self._shape)
@@ -137,12 +152,12 @@ class _Misfit:
 
     def _mean(self) -> Floats:
         if self._offsets is None:
-            return self.level
+            return np.zeros_like(self.level)
         total, first, _ = self.moments(self.left).T
         return (self._offsets * first / total.clip(1e-12)).astype(np.float32)
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True)
+@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
 def _moments(left: Floats, given: Floats, level: Floats, bound: Floats, values: Floats) -> NDArray[np.float64]:
     out = np.empty((len(left), 3))
     for c in range(len(left)):
@@ -156,7 +171,7 @@ def _moments(left: Floats, given: Floats, level: Floats, bound: Floats, values: 
     return out
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True)
+@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
 def _weigh(left: Floats, given: Floats, level: Floats, bound: Floats, centre: Floats, out: Floats) -> None:
     for c in range(len(left)):
         for i in range(left.shape[1]):

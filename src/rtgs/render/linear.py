@@ -87,11 +87,15 @@ class LinearRender:
         planes = picture.permute(2, 0, 1)
         if picture.dtype != torch.float32 or not planes.is_contiguous():
             return picture.addcmul_(self._through[..., None], background)
-        add_each(planes.flatten(1).numpy(), background.float().contiguous().numpy(), self._through.flatten()[None].numpy())
+        factors = background.detach().float().expand(len(planes)).contiguous()
+        add_each(planes.flatten(1).numpy(), factors.numpy(), self._through.flatten()[None].numpy())
         return picture
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
+        if image.shape[:2] != self.shape:
+            raise ValueError(f"LinearRender.adjoint: a picture of {tuple(image.shape[:2])} rows and columns, not {self.shape}.")
+        image = image.detach()
         planes = image.to(self._through.dtype).permute(2, 0, 1).flatten(1)
         if planes.dtype != torch.float32:
             return self._backend.adjoint(image), planes @ self._through.flatten()
