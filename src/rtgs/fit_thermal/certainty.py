@@ -89,7 +89,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
     ridges = penalty[:, None].expand(-1, SAMPLES)
     offsets = torch.ones(SAMPLES) if model.drift else None
     problem = Problem(design, range(len(data)), noises, weights, offsets, ridges, prior, inverses, divisor)
-    x = solve(problem, prior, iterations=ITERATIONS, each=each).x
+    x = solve(problem, prior, iterations=ITERATIONS, each=each)
     right = problem.gradient(torch.zeros_like(x), each)
     freedom = float(((right - ridges * prior) * x).sum()) / SAMPLES
     sigma = math.sqrt(squares / max(pixels - freedom, 0.1 * pixels))

@@ -8,13 +8,10 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.fit_thermal.design import Design
-from rtgs.render.cpu.planes import products
-
-Planes = NDArray[np.float32]
+from rtgs.render.cpu.planes import Planes, products
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +102,7 @@ class Problem:
 
 
 def planes_of(image: Tensor) -> Planes:
-    """`[C, h · w]` of `[h, w, C]`, which most often lies so."""
+    """`[C, h · w]` of `[h, w, C]`: a view, if it lies channel by channel."""
     return np.ascontiguousarray(image.permute(2, 0, 1).flatten(1).numpy())
 
 
@@ -127,15 +124,6 @@ def preconditioner(blocks: Tensor, background: float, ridge: Tensor, design: Des
     return torch.linalg.inv(blocks + torch.diag_embed(design.harmonics(ridge))), background + float(ridge[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """`x` `[D, C]`; `iterations`; `residual` `[C]`: norm of the gradient that is left, relative to that at the start."""
-
-    x: Tensor
-    iterations: int
-    residual: Tensor
-
-
 def solve(
     problem: Problem,
     start: Tensor,
@@ -143,31 +131,29 @@ def solve(
     iterations: int,
     settled: Callable[[Tensor], bool] = lambda x: False,
     each: Callable[[], None] = lambda: None,
-) -> Solution:
-    """Conjugate gradients from `start` `[D, C]`. Nothing is kept of the frames from one iteration to the next.
+) -> Tensor:
+    """`[D, C]`: conjugate gradients from `start` `[D, C]`. Nothing is kept of the frames from one iteration to the next.
 
     Args:
         iterations: at most.
         settled: asked after each iteration, with the unknowns, whether it was the last.
         each: called after each frame of each pass.
     """
-    x, done = start.clone(), 0
+    x = start.clone()
     r = problem.gradient(x, each)
     z = problem.precondition(r)
     p, rz = z.clone(), dot(r, z)
-    first = rz
-    while done < iterations:
+    for _ in range(iterations):
         q = problem.normal(p, each)
         step = ratio(rz, dot(p, q)).float()
         x += step * p
         r -= step * q
         z = problem.precondition(r)
         old, rz = rz, dot(r, z)
-        done += 1
         if settled(x) or bool((rz == 0).all()):
             break
         p = z + ratio(rz, old).float() * p
-    return Solution(x, done, ratio(rz, first).sqrt())
+    return x
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:

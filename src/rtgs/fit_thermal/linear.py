@@ -142,15 +142,14 @@ class Fit:
         factors: Sequence[float],
         frames: Sequence[int],
         *,
-        weights: Sequence[Tensor] | None = None,
         drift: tuple[Kind, Drift] | None = None,
         offsets: Tensor | None = None,
         surface: Tensor | None = None,
         surfaces: Tensor | None = None,
     ) -> Problem:
-        """Ridges side by side; `weights` None: the valid pixels. Gains count as known, offsets as unknown; `offsets`: in which problems
+        """Ridges side by side, all frames weighed alike. Gains count as known, offsets as unknown; `offsets`: in which problems
         there are any, without drift. `surface`, `surfaces`: see `Problem`."""
-        weights = self.everywhere if weights is None else weights
+        weights = self.everywhere
         photographs = [y[..., None] for y in self.data.images]
         if drift is not None and drift[0] == "gain-offset":
             gains = drift[1].gain
@@ -375,15 +374,14 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     """
     fit, start = judge.fit, judge.fit.evidence.prior[:, None]
     if not judge.validation:
-        only = Solved.of(
-            fit, solve(fit.problem((DEFAULT_FACTOR,), judge.rest), start, iterations=UNSEEN_ITERATIONS, each=fit.each).x
-        )[0]
+        problem = fit.problem((DEFAULT_FACTOR,), judge.rest)
+        only = Solved.of(fit, solve(problem, start, iterations=UNSEEN_ITERATIONS, each=fit.each))[0]
         return Look("off" if drift == "auto" else drift, only, False, only, only)
     offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
     problem = fit.problem((DEFAULT_FACTOR,) * 3, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
     watch = Watch(judge, ["offset", "offset", "off"])
-    solution = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch, each=fit.each)
-    usual, bare, steady = Solved.of(fit, solution.x)
+    x = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch, each=fit.each)
+    usual, bare, steady = Solved.of(fit, x)
     looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.images, "off", OFFSET_SHARE)
     found = Look("offset", usual, looks_drifting, usual, bare)
     if drift in ("offset", "gain-offset"):

@@ -15,20 +15,16 @@ from torch import Tensor
 
 from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.least_squares import Problem, dot, picture_of, planes_of, ratio
-from rtgs.render.cpu.planes import add_each
-
-Floats = NDArray[np.float32]
-
+from rtgs.render.cpu.planes import Planes, add_each
 
 SMALLEST_BOUND = 1e-4  # of the range: a start that fits exactly says nothing of how large errors are
 
 
 @dataclass(frozen=True, eq=False)
 class RobustSolution:
-    """`x` `[D, C]`, and how many iterations it took."""
+    """`x` `[D, C]`, and what it leaves of the photographs."""
 
     x: Tensor
-    iterations: int
     _misfits: Mapping[int, _Misfit]
 
     def shown(self, frame: int) -> Tensor:
@@ -68,9 +64,9 @@ def solve_robustly(
     total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((columns, 3))).T
     for misfit in misfits.values():
         misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(SMALLEST_BOUND).astype(np.float32)
-    x, done = start.expand(-1, columns).clone(), 0
+    x = start.expand(-1, columns).clone()
     r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(columns, dtype=torch.float64)
-    while done < iterations:
+    for _ in range(iterations):
         before, r = r, problem.ridge * (problem.prior - x)
         design.add_transpose(lambda f: misfits[f].weighted(), problem.frames, r, each)
         z = problem.precondition(r)
@@ -81,19 +77,18 @@ def solve_robustly(
                 curvature += of_frame
         step = ratio(dot(r, p), curvature).float()
         x += step * p
-        for _ in design.each(partial(_go, misfits, step.numpy()), problem.frames):
+        for _frame in design.each(partial(_go, misfits, step.numpy()), problem.frames):
             pass
-        done += 1
         if settled(x) or bool((rz == 0).all()):
             break
-    return RobustSolution(x, done, misfits)
+    return RobustSolution(x, misfits)
 
 
 def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
     return misfits[frame].curvature(planes_of(design.image(frame, p)))
 
 
-def _go(misfits: Mapping[int, _Misfit], step: Floats, frame: int) -> None:
+def _go(misfits: Mapping[int, _Misfit], step: Planes, frame: int) -> None:
     misfits[frame].go(step)
 
 
@@ -116,7 +111,7 @@ class _Misfit:
         self.level = self._mean()
         self._centre, self._move, self._shift = self.level, self.left[:, :0], self.level
 
-    def moments(self, values: Floats) -> NDArray[np.float64]:
+    def moments(self, values: Planes) -> NDArray[np.float64]:
         """`[C, 3]`: Σ weights · (1, v, v²) of values `[C, h · w]`."""
         return np.asarray(_moments(self.left, self._given, self.level, self.bound, values))
 
@@ -129,7 +124,7 @@ class _Misfit:
         _weigh(self.left, self._given, self.level, self.bound, self._centre, out)
         return picture_of(out, self._shape)
 
-    def curvature(self, move: Floats) -> Tensor:
+    def curvature(self, move: Planes) -> Tensor:
         """`[C]`: Σ weights · move², less what the offset takes of it; remembers the move, `[C, h · w]`."""
         self._move = move
         total, first, second = self.moments(move).T
@@ -138,7 +133,7 @@ class _Misfit:
             second, self._shift = second - shift * first, shift.astype(np.float32)
         return torch.from_numpy(second)
 
-    def go(self, step: Floats) -> None:
+    def go(self, step: Planes) -> None:
         """The remembered move, so far; the offset that suits goes with it."""
         add_each(self.left, -step, self._move)
         self._centre = self._centre - step * self._shift
@@ -150,7 +145,7 @@ class _Misfit:
         away = np.abs(self.left - self._centre[:, None])
         return picture_of(self._given * (self.bound[:, None] / np.maximum(away, self.bound[:, None])), self._shape)
 
-    def _mean(self) -> Floats:
+    def _mean(self) -> Planes:
         if self._offsets is None:
             return np.zeros_like(self.level)
         total, first, _ = self.moments(self.left).T
@@ -158,7 +153,7 @@ class _Misfit:
 
 
 @nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
-def _moments(left: Floats, given: Floats, level: Floats, bound: Floats, values: Floats) -> NDArray[np.float64]:
+def _moments(left: Planes, given: Planes, level: Planes, bound: Planes, values: Planes) -> NDArray[np.float64]:
     out = np.empty((len(left), 3))
     for c in range(len(left)):
         total, first, second = np.float32(0), np.float32(0), np.float32(0)
@@ -172,7 +167,7 @@ def _moments(left: Floats, given: Floats, level: Floats, bound: Floats, values: 
 
 
 @nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
-def _weigh(left: Floats, given: Floats, level: Floats, bound: Floats, centre: Floats, out: Floats) -> None:
+def _weigh(left: Planes, given: Planes, level: Planes, bound: Planes, centre: Planes, out: Planes) -> None:
     for c in range(len(left)):
         for i in range(left.shape[1]):
             w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
