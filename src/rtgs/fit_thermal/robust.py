@@ -77,8 +77,8 @@ def solve_robustly(
                 curvature += of_frame
         step = ratio(dot(r, p), curvature).float()
         x += step * p
-        for _frame in design.each(partial(_go, misfits, step.numpy()), problem.frames):
-            pass
+        for misfit in misfits.values():
+            misfit.go(step.numpy())
         if settled(x) or bool((rz == 0).all()):
             break
     return RobustSolution(x, misfits)
@@ -86,10 +86,6 @@ def solve_robustly(
 
 def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
     return misfits[frame].curvature(planes_of(design.image(frame, p)))
-
-
-def _go(misfits: Mapping[int, _Misfit], step: Planes, frame: int) -> None:
-    misfits[frame].go(step)
 
 
 class _Misfit:
@@ -106,10 +102,11 @@ class _Misfit:
         self._shape, self._given = shown.shape[:2], problem.weights[frame].numpy().ravel()
         left = planes_of(self._photograph - shown)
         self.left = left if len(left) == columns else np.repeat(left, columns, axis=0)
-        self._offsets = None if problem.offsets is None else problem.offsets.numpy()
-        self.bound, self.level = np.full(columns, 1e30, np.float32), np.zeros(columns, np.float32)
-        self.level = self._mean()
-        self._centre, self._move, self._shift = self.level, self.left[:, :0], self.level
+        nothing = np.zeros(columns, np.float32)
+        self._offsets = nothing if problem.offsets is None else problem.offsets.numpy()
+        self.bound, self.level = np.full(columns, 1e30, np.float32), nothing
+        self.level = _mean(self.left, self._given, nothing, self.bound, self._offsets)
+        self._centre, self._move, self._step, self._shift = self.level, self.left, nothing, nothing
 
     def moments(self, values: Planes) -> NDArray[np.float64]:
         """`[C, 3]`: Σ weights · (1, v, v²) of values `[C, h · w]`."""
@@ -117,39 +114,33 @@ class _Misfit:
 
     def weighted(self) -> Tensor:
         """`[h, w, C]`: new weights times what is left, the offset that suits them best taken out."""
-        self.level = self._centre
-        if self._offsets is not None:
-            self._centre = self._mean()
         out = np.empty_like(self.left)
-        _weigh(self.left, self._given, self.level, self.bound, self._centre, out)
+        step, self._step = self._step, np.zeros_like(self._step)
+        self.level = self._centre
+        self._centre = _weigh(self.left, step, self._move, self._given, self.level, self.bound, self._offsets, out)
         return picture_of(out, self._shape)
 
     def curvature(self, move: Planes) -> Tensor:
         """`[C]`: Σ weights · move², less what the offset takes of it; remembers the move, `[C, h · w]`."""
         self._move = move
         total, first, second = self.moments(move).T
-        if self._offsets is not None:
-            shift = self._offsets * first / total.clip(1e-12)
-            second, self._shift = second - shift * first, shift.astype(np.float32)
-        return torch.from_numpy(second)
+        shift = self._offsets * first / total.clip(1e-12)
+        self._shift = shift.astype(np.float32)
+        return torch.from_numpy(second - shift * first)
 
     def go(self, step: Planes) -> None:
-        """The remembered move, so far; the offset that suits goes with it."""
-        add_each(self.left, -step, self._move)
-        self._centre = self._centre - step * self._shift
+        """The remembered move, so far, when next asked what is left; the offset that suits goes with it."""
+        self._step, self._centre = step, self._centre - step * self._shift
 
     def shown(self) -> Tensor:
-        return self._photograph - picture_of(self.left, self._shape)
+        return self._photograph - picture_of(self._now(), self._shape)
 
     def weights(self) -> Tensor:
-        away = np.abs(self.left - self._centre[:, None])
+        away = np.abs(self._now() - self._centre[:, None])
         return picture_of(self._given * (self.bound[:, None] / np.maximum(away, self.bound[:, None])), self._shape)
 
-    def _mean(self) -> Planes:
-        if self._offsets is None:
-            return np.zeros_like(self.level)
-        total, first, _ = self.moments(self.left).T
-        return (self._offsets * first / total.clip(1e-12)).astype(np.float32)
+    def _now(self) -> Planes:
+        return self.left - self._step[:, None] * self._move
 
 
 @nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
@@ -167,8 +158,24 @@ def _moments(left: Planes, given: Planes, level: Planes, bound: Planes, values: 
 
 
 @nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
-def _weigh(left: Planes, given: Planes, level: Planes, bound: Planes, centre: Planes, out: Planes) -> None:
+def _mean(left: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes) -> Planes:
+    """`[C]`: the weighted mean of what is left, where a problem has offsets."""
+    out = np.zeros(len(left), np.float32)
+    if offsets.any():
+        for c, (total, first, _) in enumerate(_moments(left, given, level, bound, left)):
+            out[c] = offsets[c] * first / max(total, 1e-12)
+    return out
+
+
+@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+def _weigh(
+    left: Planes, step: Planes, move: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes, out: Planes
+) -> Planes:
+    """left -= step · move, and out = weights · (left less its mean). Returns the mean."""
+    add_each(left, -step, move)
+    centre = _mean(left, given, level, bound, offsets)
     for c in range(len(left)):
         for i in range(left.shape[1]):
             w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
             out[c, i] = w * (left[c, i] - centre[c])
+    return centre

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from rtgs.errors import RtgsError
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import cpu, reference
-from rtgs.render.cpu.planes import add_each, products
+from rtgs.render.cpu.planes import products
 from rtgs.render.cpu.splats import Splats
 from rtgs.render.cpu.weights import Survey, Weights
 from rtgs.render.settings import RenderSettings
@@ -75,32 +74,17 @@ class LinearRender:
         """`[H, W]`."""
         return self._backend.alpha
 
-    @cached_property
-    def _through(self) -> Tensor:
-        return 1.0 - self.alpha
-
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
-        picture = self._backend.image(colors)
         if background is None:
-            return picture
-        planes = picture.permute(2, 0, 1)
-        if picture.dtype != torch.float32 or not planes.is_contiguous():
-            return picture.addcmul_(self._through[..., None], background)
-        factors = background.detach().float().expand(len(planes)).contiguous()
-        add_each(planes.flatten(1).numpy(), factors.numpy(), self._through.flatten()[None].numpy())
-        return picture
+            background = colors.new_zeros(colors.shape[1])
+        return self._backend.image(colors.detach(), background.detach().expand(colors.shape[1]))
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Wᵀ·image `[N, C]` of `[H, W, C]`, and the background's part Σ (1 − α)·image `[C]`."""
         if image.shape[:2] != self.shape:
             raise ValueError(f"LinearRender.adjoint: a picture of {tuple(image.shape[:2])} rows and columns, not {self.shape}.")
-        image = image.detach()
-        planes = image.to(self._through.dtype).permute(2, 0, 1).flatten(1)
-        if planes.dtype != torch.float32:
-            return self._backend.adjoint(image), planes @ self._through.flatten()
-        background = products(np.ascontiguousarray(planes.numpy()), self._through.flatten()[None].numpy())
-        return self._backend.adjoint(image), torch.from_numpy(background[:, 0].copy())
+        return self._backend.adjoint(image.detach())
 
     def keep_weights(self, within: int) -> None:
         """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
@@ -200,21 +184,25 @@ class _Cpu:
             self._shown = survey.alpha, survey.used
         return self._shown
 
-    def image(self, colors: Tensor) -> Tensor:
-        numbers = np.ascontiguousarray(colors.detach().numpy(), dtype=np.float32)
+    def image(self, colors: Tensor, background: Tensor) -> Tensor:
+        numbers, behind = (np.ascontiguousarray(t.numpy(), dtype=np.float32) for t in (colors, background))
         if isinstance(self._map, Weights):
-            return torch.from_numpy(self._map.image(numbers))
+            return torch.from_numpy(self._map.image(numbers, behind))
         splats = replace(self._map, channels=colors.shape[1])
         splats.set_colors(numbers)
         image, alpha, used = splats.blend()
         self._shown = alpha, used
-        return torch.from_numpy(image)
+        return torch.from_numpy(image).addcmul_(1.0 - self.alpha[..., None], torch.from_numpy(behind))
 
-    def adjoint(self, image: Tensor) -> Tensor:
-        numbers = image.detach().numpy()
+    def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         if isinstance(self._map, Weights):
-            return torch.from_numpy(self._map.adjoint(numbers))
-        return torch.from_numpy(self._map.adjoint(np.ascontiguousarray(numbers, dtype=np.float32), self._alpha_and_used()[1]))
+            colors, background = self._map.adjoint(image.numpy())
+            return torch.from_numpy(colors), torch.from_numpy(background)
+        numbers = np.ascontiguousarray(image.numpy(), dtype=np.float32)
+        alpha, used = self._alpha_and_used()
+        planes = np.ascontiguousarray(numbers.reshape(-1, numbers.shape[2]).T)
+        background = products(1.0 - alpha.reshape(1, -1), planes)[0]
+        return torch.from_numpy(self._map.adjoint(numbers, used)), torch.from_numpy(background)
 
     def keep_weights(self, within: int) -> None:
         if isinstance(self._map, Weights):
@@ -267,16 +255,17 @@ class _Reference:
         self.alpha = draw(self._colors)[1]
         self.visible = np.arange(len(frozen), dtype=np.int32)
 
-    def image(self, colors: Tensor) -> Tensor:
-        return self._draw(colors.detach())[0]
+    def image(self, colors: Tensor, background: Tensor) -> Tensor:
+        return self._draw(colors)[0] + (1.0 - self.alpha)[..., None] * background
 
-    def adjoint(self, image: Tensor) -> Tensor:
+    def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        background = torch.einsum("hw,hwc->c", 1.0 - self.alpha, image.to(self.alpha.dtype))
         colors = self._colors[:, :1].repeat(1, image.shape[2]).requires_grad_()
         with torch.enable_grad():
             picture = self._draw(colors)[0]
         if not picture.requires_grad:
-            return torch.zeros_like(colors)
-        return torch.autograd.grad(picture, colors, image)[0]
+            return torch.zeros_like(colors), background
+        return torch.autograd.grad(picture, colors, image)[0], background
 
     is_concurrent = False
     nbytes = 0

@@ -29,6 +29,7 @@ from rtgs.render.cpu.patch import (
     still_alive,
     time_to_look,
 )
+from rtgs.render.cpu.planes import add_each, products
 from rtgs.render.cpu.simd import (
     LANES,
     any_lane,
@@ -181,7 +182,8 @@ def _place_planes(state, factor, top, left, image):
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _image(side, starts, splats, masks, weights, channels, colors, image):
+def _image(side, starts, splats, masks, weights, channels, through, colors, background, image):
+    """`image` `[C, H, W]` = W·colors + through · background; colors `[N · C]`, background `[C]`, through `[H · W]`."""
     across, patches = (image.shape[2] + side - 1) // side, (side // PATCH) ** 2
     state = aligned(len(channels) * AREA)
     for tile in range((len(starts) - 1) // patches):
@@ -202,11 +204,23 @@ def _image(side, starts, splats, masks, weights, channels, colors, image):
                         store(state, i, load(state, i) + w * colors[color + c])
                         i += AREA
             _place_planes(state, F(1 / UNIT), top + p // columns * PATCH, left + p % columns * PATCH, image)
+    add_each(image.reshape(len(channels), -1), background, through.reshape(1, -1))
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _gather(seen, seen_starts, order, sums, out):
+    """out `[N, C]` = Σ of each Gaussian's meetings, where it has any."""
+    channels = out.shape[1]
+    for v in range(len(seen)):
+        for j in range(seen_starts[v], seen_starts[v + 1]):
+            for c in range(channels):
+                out[seen[v], c] += sums[order[j] * channels + c]
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _adjoint(side, starts, splats, masks, weights, channels, image, sums):
-    """`sums` `[M · C]`, of each meeting."""
+def _adjoint(side, starts, splats, masks, weights, channels, through, image, seen, seen_starts, order, out):
+    """`out` `[N, C]` = Wᵀ·image of `[C, H, W]`, where it is not 0. Returns Σ through · image `[1, C]`."""
+    sums = np.empty(len(splats) * len(channels), np.float32)  # of each meeting
     across, patches = (image.shape[2] + side - 1) // side, (side // PATCH) ** 2
     state = aligned(len(channels) * AREA)
     for tile in range((len(starts) - 1) // patches):
@@ -224,16 +238,8 @@ def _adjoint(side, starts, splats, masks, weights, channels, image, sums):
                     row += 1
                 for c in range(len(channels)):
                     sums[m * len(channels) + c] = F(1 / UNIT) * total(colors[c])
-
-
-@nb.njit(nogil=True, cache=True, error_model="numpy")
-def _gather(seen, seen_starts, order, sums, out):
-    """out `[N, C]` = Σ of each Gaussian's meetings, where it has any."""
-    channels = out.shape[1]
-    for v in range(len(seen)):
-        for j in range(seen_starts[v], seen_starts[v + 1]):
-            for c in range(channels):
-                out[seen[v], c] += sums[order[j] * channels + c]
+    _gather(seen, seen_starts, order, sums, out)
+    return products(through.reshape(1, -1), image.reshape(len(channels), -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +270,7 @@ class Survey:
         """What the weights would take."""
         meetings, rows = self.ends.sum(0)
         per_meeting = 4 + 2 + 4 + 4 + 4  # splats, masks, order; seen and its starts at the most
-        return int(2 * LANES * rows + per_meeting * meetings + 16 * (len(self.ends) + 1) + 4)
+        return int(2 * LANES * rows + per_meeting * meetings + 16 * (len(self.ends) + 1) + 4 + self.alpha.nbytes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,6 +281,7 @@ class Weights:
         side: as in `Splats`. starts: `[P + 1, 2]`, meetings and rows before each patch of each tile.
         splats: `[M]`, of each meeting. masks: `[M]`, bits of its rows. weights: `[R · 16]`.
         seen: `[V]`, Gaussians with a meeting; theirs are `order[seen_starts[v] : seen_starts[v + 1]]`.
+        through: `[H, W]`, 1 − α.
     """
 
     side: int
@@ -285,7 +292,7 @@ class Weights:
     seen: NDArray[np.int32]
     seen_starts: NDArray[np.int32]
     order: NDArray[np.int32]
-    shape: tuple[int, int]
+    through: NDArray[np.float32]
     gaussians: int
 
     @staticmethod
@@ -299,30 +306,29 @@ class Weights:
         _weigh(*arguments)
         gaussians = len(splats.tiles)
         seen, seen_starts, order = _by_splat(whose, gaussians)
-        return Weights(splats.side, starts, whose, masks, weights, seen, seen_starts, order, splats.shape, gaussians)
+        return Weights(splats.side, starts, whose, masks, weights, seen, seen_starts, order, 1.0 - alpha, gaussians)
 
     @property
-    def _matrix(self) -> list[Any]:
-        return [self.side, self.starts, self.splats, self.masks, self.weights]
+    def shape(self) -> tuple[int, int]:
+        return self.through.shape
 
-    def image(self, colors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """`[H, W, C]` of `[N, C]`; each channel lies in one piece."""
-        image = np.empty((colors.shape[1], *self.shape), np.float32)
-        arguments: list[Any] = [*self._matrix, (0,) * colors.shape[1], np.ascontiguousarray(colors, np.float32).ravel(), image]
-        _image(*arguments)
+    def _matrix(self, channels: int) -> list[Any]:
+        return [self.side, self.starts, self.splats, self.masks, self.weights, (0,) * channels, self.through]
+
+    def image(self, colors: NDArray[np.float32], background: NDArray[np.float32]) -> NDArray[np.float32]:
+        """`[H, W, C]` of `[N, C]` and `[C]`; each channel lies in one piece."""
+        image = np.empty((len(background), *self.shape), np.float32)
+        _image(*self._matrix(len(background)), np.ascontiguousarray(colors, np.float32).ravel(), background, image)
         return image.transpose(1, 2, 0)
 
-    def adjoint(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """`[N, C]` of `[H, W, C]`: the transpose."""
+    def adjoint(self, image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """`[N, C]` and `[C]` of `[H, W, C]`: the transpose."""
         planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
-        channels = len(planes)
-        sums, out = np.empty(len(self.splats) * channels, np.float32), np.zeros((self.gaussians, channels), np.float32)
-        arguments: list[Any] = [*self._matrix, (0,) * channels, planes, sums]
-        _adjoint(*arguments)
-        _gather(self.seen, self.seen_starts, self.order, sums, out)
-        return out
+        out = np.zeros((self.gaussians, len(planes)), np.float32)
+        background = _adjoint(*self._matrix(len(planes)), planes, self.seen, self.seen_starts, self.order, out)
+        return out, background[0]
 
     @property
     def nbytes(self) -> int:
-        arrays = (self.starts, self.splats, self.masks, self.weights, self.seen, self.seen_starts, self.order)
+        arrays = (self.starts, self.splats, self.masks, self.weights, self.seen, self.seen_starts, self.order, self.through)
         return sum(a.nbytes for a in arrays)
