@@ -528,6 +528,7 @@ def test_threads_change_nothing(kept_bytes: int, monkeypatch: pytest.MonkeyPatch
     design = importlib.import_module("rtgs.fit_thermal.design")
     scene, rgb, _ = ring()
     monkeypatch.setattr(Design.__init__, "__kwdefaults__", {"every": 1, "kept_bytes": kept_bytes})
+    monkeypatch.setattr(design, "SMALL_PICTURE", 0)
     models = []
     for threads in (1, 3):
         monkeypatch.setattr(design.nb, "get_num_threads", lambda threads=threads: threads)

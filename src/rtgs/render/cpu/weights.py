@@ -38,6 +38,7 @@ from rtgs.render.cpu.simd import (
     load_uint16,
     lowest_bit,
     negative_magnitude,
+    prefetch,
     store,
     store_uint16,
     take_next,
@@ -48,6 +49,7 @@ from rtgs.render.cpu.splats import Splats
 from rtgs.render.settings import TRANSMITTANCE_MIN
 
 UNIT = 65535
+AHEAD = 128  # rows
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -198,6 +200,7 @@ def _image(side, starts, splats, masks, weights, channels, through, colors, back
                 while bits != 0:
                     i = lowest_bit(bits) * PATCH
                     bits &= bits - 1
+                    prefetch(weights, (row + AHEAD) * LANES)
                     w = load_uint16(weights, row * LANES)
                     row += 1
                     for c in range(len(channels)):
@@ -234,6 +237,7 @@ def _adjoint(side, starts, splats, masks, weights, channels, through, image, see
                 while bits != 0:
                     i = lowest_bit(bits) * PATCH
                     bits &= bits - 1
+                    prefetch(weights, (row + AHEAD) * LANES)
                     colors = add_scaled(colors, load_uint16(weights, row * LANES), state, i, AREA)
                     row += 1
                 for c in range(len(channels)):
