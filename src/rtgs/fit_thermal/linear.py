@@ -29,6 +29,7 @@ from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
 from rtgs.sensor import quadratic_terms, sensor_pattern
+from rtgs.threads import one_torch_thread
 
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
 # held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
@@ -184,9 +185,10 @@ class Fit:
             images = [drift.of(f, image) for f, image in enumerate(images)]
         left = torch.stack([y - image for y, image in zip(photographs, images, strict=True)])
         if surface is not None:
-            normal = torch.einsum("hwb,hwc,hw->bc", surface, surface, valid)
-            right = torch.einsum("hwb,hw->b", surface, valid * left.mean(0))
-            left = left - surface @ (torch.linalg.pinv(normal, hermitian=True) @ right)
+            terms = surface.flatten(0, 1)
+            weighted = (valid.flatten()[:, None] * terms).T
+            amounts = torch.linalg.pinv(weighted @ terms, hermitian=True) @ (weighted @ left.mean(0).flatten())
+            left = left - (terms @ amounts).view_as(valid)
         return (valid * left.abs()).sum((1, 2))
 
     def drift(self, kind: Kind, images: Sequence[Tensor], weights: Sequence[Tensor]) -> tuple[Drift, list[Tensor]]:
@@ -213,6 +215,7 @@ class Fit:
         return kind, in_gauge(self.drift(kind, images, self.everywhere)[0])[0]
 
 
+@one_torch_thread()
 def fit_linear(
     scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
