@@ -327,8 +327,9 @@ def clearly_less(errors: Tensor, before: Tensor, by: float) -> bool:
 
 
 class Watch:
-    """For `settled` of a solver: whether iterations do little for the error of the validation frames, which its problems leave out,
-    in any of them: what is ahead now need not be where it ends.
+    """For `settled` of a solver: whether iterations do little for the error of the validation frames, which its problems leave out, in
+    any of them that may yet win: what is ahead now need not be where it ends. Not so those that would stay behind the best if they fell
+    by as much again.
 
     Attributes:
         shown: `[h, w, C]`, of the validation frames. errors: `[C]`, each of its own kind.
@@ -347,7 +348,9 @@ class Watch:
         for c, kind in enumerate(self._kinds):
             self.errors[c] = self._judge.errors(kind, {f: image[..., c] for f, image in self.shown.items()}).sum()
         self._before.append(self.errors.clone())
-        return bool((self.errors > (1.0 - SETTLED_SHARE) * self._before[-1 - SETTLED_AFTER]).all())
+        before = self._before[-1 - SETTLED_AFTER]
+        is_behind = 2.0 * self.errors - before > self.errors.min()
+        return bool((is_behind | (self.errors > (1.0 - SETTLED_SHARE) * before)).all())
 
 
 @dataclass(frozen=True, eq=False)
