@@ -6,8 +6,9 @@ import threading
 import time
 
 import pytest
+import torch
 
-from rtgs.threads import AT_ONCE, in_order
+from rtgs.threads import AT_ONCE, in_order, one_torch_thread
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -54,3 +55,15 @@ def test_an_error_arrives_and_ends_the_work() -> None:
         for value in in_order(work, range(1000), 3):
             seen.append(value)
     assert seen == list(range(len(seen))) and len(seen) <= 20
+
+
+def test_torch_gets_its_threads_back() -> None:
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(3)
+        with pytest.raises(ZeroDivisionError), one_torch_thread():
+            assert torch.get_num_threads() == 1
+            raise ZeroDivisionError
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)

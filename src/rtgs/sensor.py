@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
@@ -46,8 +47,9 @@ def quadratic_terms(shape: tuple[int, ...]) -> NDArray[np.float64]:
 
 def _quadratic(image: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     terms = quadratic_terms(image.shape)
-    weights, *_ = np.linalg.lstsq(terms[:, mask].T, image[mask], rcond=None)
-    return np.asarray(np.tensordot(weights, terms, axes=1))
+    matrix, right = torch.from_numpy(terms[:, mask].T), torch.from_numpy(image[mask])[:, None]
+    weights = torch.linalg.lstsq(matrix, right).solution  # NumPy's would have threads of its own, which the fit could not rein in
+    return np.asarray(np.einsum("k,khw->hw", weights[:, 0].numpy(), terms))
 
 
 def _fine_levels(image: NDArray[np.float64], mask: NDArray[np.bool_], axis: int) -> NDArray[np.float64]:

@@ -49,7 +49,7 @@ from rtgs.render.cpu.splats import Splats
 from rtgs.render.settings import TRANSMITTANCE_MIN
 
 UNIT = 65535
-AHEAD = 128  # rows
+AHEAD = 128  # rows that are asked for before their turn: a view's weights come from memory, which takes as long as the arithmetic
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -322,14 +322,16 @@ class Weights:
     def image(self, colors: NDArray[np.float32], background: NDArray[np.float32]) -> NDArray[np.float32]:
         """`[H, W, C]` of `[N, C]` and `[C]`; each channel lies in one piece."""
         image = np.empty((len(background), *self.shape), np.float32)
-        _image(*self._matrix(len(background)), np.ascontiguousarray(colors, np.float32).ravel(), background, image)
+        arguments = [*self._matrix(len(background)), np.ascontiguousarray(colors, np.float32).ravel(), background, image]
+        _image(*arguments)
         return image.transpose(1, 2, 0)
 
     def adjoint(self, image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """`[N, C]` and `[C]` of `[H, W, C]`: the transpose."""
         planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
         out = np.zeros((self.gaussians, len(planes)), np.float32)
-        background = _adjoint(*self._matrix(len(planes)), planes, self.seen, self.seen_starts, self.order, out)
+        arguments = [*self._matrix(len(planes)), planes, self.seen, self.seen_starts, self.order, out]
+        background = _adjoint(*arguments)
         return out, background[0]
 
     @property
