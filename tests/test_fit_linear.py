@@ -20,7 +20,7 @@ from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, estimate, in_gauge
 from rtgs.fit_thermal.frames import ThermalFrames
 from rtgs.fit_thermal.least_squares import solve
-from rtgs.fit_thermal.linear import DEFAULT_FACTOR, Fit, as_model, ridge
+from rtgs.fit_thermal.linear import DEFAULT_FACTOR, Fit, Judge, Watch, as_model, ridge
 from rtgs.fit_thermal.robust import solve_robustly
 from rtgs.geometry import look_at
 from rtgs.models import RgbModel, ThermalModel, between
@@ -503,6 +503,27 @@ def test_few_frames(count: int, drift: Literal["auto", "offset", "gain-offset"])
         assert np.abs(shown - frame.thermal).mean() < 0.3  # of 30 °C
 
 
+@pytest.mark.parametrize(
+    ("errors", "ends"),
+    [
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99], [6.98, 7.98]], 4),  # all are settled
+        ([[8.0, 9.0], [7.0, 8.5], [6.99, 8.2], [6.98, 7.9]], 4),  # the other falls, and would be behind if it fell as much again
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.1]], None),  # would be ahead
+        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], None),  # the best itself still falls
+    ],
+)
+def test_iterations_end_when_nothing_can_change_who_wins(
+    errors: list[list[float]], ends: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = least_squares(ring()[0], ring()[1])
+    judge, turn = Judge(fit, [4]), itertools.count()
+    monkeypatch.setattr(Judge, "errors", lambda self, kind, images: torch.tensor([errors[next(turn) // 2][kind]]))  # type: ignore[index]
+    watch = Watch(judge, [0, 1])  # type: ignore[list-item]
+    x = fit.evidence.prior[:, None].expand(-1, 2)
+    settled = [watch(x) for _ in errors]
+    assert settled == [turn + 1 == ends for turn in range(len(errors))]
+
+
 def test_eight_noisy_frames_get_a_ridge_that_suits_them() -> None:
     """One validation frame, which says both which ridge and when it is enough. A usual ridge is as good a bound as any."""
     rng, (scene, rgb, _) = np.random.default_rng(1), ring()
@@ -524,7 +545,7 @@ def test_same_twice() -> None:
 
 @pytest.mark.parametrize("kept_bytes", [2 << 30, 1_200_000, 300_000])
 def test_threads_change_nothing(kept_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor where eight of 28 views have their weights kept and the others their lists, or half of them nothing."""
+    """Nor where seven of 28 views have their weights kept and the others their lists, or half of them nothing."""
     design = importlib.import_module("rtgs.fit_thermal.design")
     scene, rgb, _ = ring()
     monkeypatch.setattr(Design.__init__, "__kwdefaults__", {"every": 1, "kept_bytes": kept_bytes})
