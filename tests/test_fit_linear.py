@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
@@ -296,12 +296,12 @@ def test_robust_solution_is_least_by_hubers_loss(offsets: bool) -> None:
 
     losses = [loss(start)]
 
-    def watch(x: torch.Tensor) -> bool:
+    def watch(x: torch.Tensor, columns: Sequence[int]) -> Sequence[int]:
         losses.append(loss(x))
-        return False
+        return columns
 
     shown = [fit.design.image(f, start) for f in frames]
-    x = solve_robustly(problem, start, huber=0.3, iterations=30, shown=shown, settled=watch).x
+    x = solve_robustly(problem, start, huber=0.3, iterations=30, shown=shown, promising=watch).x
     assert all(after < before * (1 + 1e-6) for before, after in itertools.pairwise(losses))
     solution = solve_robustly(problem, x, huber=1.0, iterations=0, shown=[fit.design.image(f, x) for f in frames])
     assert torch.equal(solution.x, x)
@@ -504,24 +504,50 @@ def test_few_frames(count: int, drift: Literal["auto", "offset", "gain-offset"])
 
 
 @pytest.mark.parametrize(
-    ("errors", "ends"),
+    ("errors", "left"),
     [
-        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99], [6.98, 7.98]], 4),  # all are settled
-        ([[8.0, 9.0], [7.0, 8.5], [6.99, 8.2], [6.98, 7.9]], 4),  # the other falls, and would be behind if it fell as much again
-        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.1]], None),  # would be ahead
-        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], None),  # the best itself still falls
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99], [6.98, 7.98]], [2, 2, 2, 0]),  # both are settled
+        (
+            [[8.0, 9.0], [7.0, 8.5], [6.99, 8.2], [6.98, 7.9]],
+            [2, 2, 2, 0],
+        ),  # one falls, and would be behind if it fell as much again
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.1]], [2, 2, 2, 2]),  # would be ahead
+        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], [2, 2, 1, 1]),  # one passes the other, which no longer falls
+        ([[8.0, 9.0], [7.0, 8.0], [6.0, 8.3], [5.0, 8.3]], [2, 2, 2, 1]),  # one is four times as far behind as it fell
     ],
 )
-def test_iterations_end_when_nothing_can_change_who_wins(
-    errors: list[list[float]], ends: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_iterations_go_on_with_what_may_win(errors: list[list[float]], left: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     fit = least_squares(ring()[0], ring()[1])
-    judge, turn = Judge(fit, [4]), itertools.count()
-    monkeypatch.setattr(Judge, "errors", lambda self, kind, images: torch.tensor([errors[next(turn) // 2][kind]]))  # type: ignore[index]
-    watch = Watch(judge, [0, 1])  # type: ignore[list-item]
-    x = fit.evidence.prior[:, None].expand(-1, 2)
-    settled = [watch(x) for _ in errors]
-    assert settled == [turn + 1 == ends for turn in range(len(errors))]
+    judge, x = Judge(fit, [4]), fit.evidence.prior[:, None].expand(-1, 2)
+    watch, columns, counts = Watch(judge, [0, 1], 0.02), [0, 1], []  # type: ignore[list-item]
+    for row in errors:
+        monkeypatch.setattr(Judge, "errors", lambda self, kind, images, row=row: torch.tensor([row[kind]]))
+        columns = watch.promising(x[:, : len(columns)], columns)
+        counts.append(len(columns))
+    assert counts == left
+
+
+def test_a_problem_that_is_dropped_leaves_the_others_alone() -> None:
+    """With offsets, outliers, and ridges far apart."""
+    scene, rgb, _ = ring()
+    fit = least_squares(outliers(scene), rgb)
+    frames, start = range(len(fit.data)), fit.evidence.prior[:, None]
+    shown = [fit.design.image(f, start) for f in frames]
+    offsets = torch.tensor([1.0, 0.0, 1.0])
+    together = fit.problem((0.1, 0.3, 3.0), frames, offsets=offsets)
+    turn = itertools.count()
+
+    def promising(x: torch.Tensor, columns: Sequence[int]) -> Sequence[int]:
+        assert x.shape[1] == len(columns)
+        return [c for c in columns if c != (None, 1, None, 0, None)[next(turn) % 5]]
+
+    found = solve_robustly(together, start, huber=0.3, iterations=6, shown=shown, promising=promising)
+    assert list(found.columns) == [2] and found.x.shape[1] == 1
+    alone = solve_robustly(together.only([2]), start, huber=0.3, iterations=6, shown=shown)
+    torch.testing.assert_close(found.x, alone.x, atol=1e-4, rtol=0)
+    for f in (0, 9):
+        torch.testing.assert_close(found.shown(f), alone.shown(f), atol=1e-4, rtol=0)
+        torch.testing.assert_close(found.weights(f), alone.weights(f), atol=1e-3, rtol=0)
 
 
 def test_eight_noisy_frames_get_a_ridge_that_suits_them() -> None:
@@ -546,13 +572,14 @@ def test_same_twice() -> None:
 @pytest.mark.parametrize("kept_bytes", [2 << 30, 1_200_000, 300_000])
 def test_threads_change_nothing(kept_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor where seven of 28 views have their weights kept and the others their lists, or half of them nothing."""
-    design = importlib.import_module("rtgs.fit_thermal.design")
+    design, linear = (importlib.import_module(f"rtgs.fit_thermal.{name}") for name in ("design", "linear"))
     scene, rgb, _ = ring()
     monkeypatch.setattr(Design.__init__, "__kwdefaults__", {"every": 1, "kept_bytes": kept_bytes})
-    monkeypatch.setattr(design, "SMALL_PICTURE", 0)
+    monkeypatch.setattr(linear, "SMALL_PICTURE", 0)
     models = []
     for threads in (1, 3):
         monkeypatch.setattr(design.nb, "get_num_threads", lambda threads=threads: threads)
+        monkeypatch.setattr(design.nb, "set_num_threads", lambda threads: None)
         models.append(fit_thermal(outliers(scene), rgb, SFM_PER_METRE, LINEAR))
     assert torch.equal(models[0].gaussians.sh, models[1].gaussians.sh) and models[0].drift == models[1].drift
 

@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 import pytest
 
-from rtgs.render.cpu import layout, simd, tiles
+from rtgs.render.cpu import channels, layout, simd, tiles
 from rtgs.render.cpu.simd import LANES, load, store, take_next
 
 
@@ -80,20 +80,40 @@ def test_sums_and_masks(seed: int) -> None:
 
 
 @nb.njit
-def _to_uint16_and_back(x, short, back):
-    for at in range(0, len(x), LANES):
-        simd.store_uint16(short, at, load(x, at))
-        store(back, at, simd.load_uint16(short, at))
+def _weighted_blocks(registers, values, short, colors, image, sums):
+    for at in range(0, len(values), LANES):
+        simd.store_uint16(short, at, load(values, at))
+    channels.store_all(image, channels.add_weighted(channels.no_lanes(registers), short, 0, colors, 1))
+    channels.add_products(sums, channels.SUMMED, channels.load_all(registers, image), short, 0)
 
 
-def test_numbers_of_sixteen_bits() -> None:
-    x = np.concatenate([[0.0, 0.99, 1.0, 32767.5, 32768.0, 65535.0, 65535.9, 255.5], np.linspace(0, 65535, 152)]).astype(
-        np.float32
-    )
-    short, back = np.empty(160, np.uint16), np.empty(160, np.float32)
-    _to_uint16_and_back(x, short, back)
-    np.testing.assert_array_equal(short, np.floor(x))
-    np.testing.assert_array_equal(back, np.floor(x))
+@pytest.mark.parametrize("count", [1, 3, 7])
+def test_blocks_of_sixteen_bit_weights(count: int) -> None:
+    """A block's picture by one splat, and what the splat gets of that picture."""
+    rng, size = np.random.default_rng(count), channels.REGISTERS * LANES
+    values = np.concatenate([[0.0, 0.99, 1.0, 32767.5, 32768.0, 65535.0, 65535.9, 255.5], np.linspace(0, 65535, size - 8)])
+    short, colors = np.empty(size, np.uint16), rng.normal(size=count + 1).astype(np.float32)
+    image, sums = np.empty(count * size, np.float32), np.ones((count + 2) * channels.SUMMED, np.float32)
+    _weighted_blocks((0,) * (count * channels.REGISTERS), values.astype(np.float32), short, colors, image, sums)
+    weights = np.floor(values).astype(np.float32)
+    np.testing.assert_array_equal(short, weights)
+    np.testing.assert_allclose(image.reshape(count, size), colors[1:, None] * weights, rtol=1e-6)
+    totals = sums.reshape(-1, channels.SUMMED).sum(1) - channels.SUMMED
+    np.testing.assert_allclose(totals[1:-1], image.reshape(count, size) @ weights, rtol=1e-5)
+    assert totals[0] == totals[-1] == 0
+
+
+@nb.njit
+def _copy_half(to, start, array, index):
+    simd.copy_half(to, start, array, index)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint16])
+def test_half_a_register_is_copied(kind: type) -> None:
+    array, to = np.arange(40).astype(kind), np.zeros(40, kind)
+    _copy_half(to, 3, array, 21)
+    np.testing.assert_array_equal(to[3:11], array[21:29])
+    assert not to[:3].any() and not to[11:].any()
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-6, 1.0, 1e6])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 
+import numba as nb
 import pytest
 import torch
 
-from rtgs.threads import AT_ONCE, in_order, one_torch_thread
+from rtgs.threads import AT_ONCE, in_order, threads_at_most
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -57,13 +58,14 @@ def test_an_error_arrives_and_ends_the_work() -> None:
     assert seen == list(range(len(seen))) and len(seen) <= 20
 
 
-def test_torch_gets_its_threads_back() -> None:
-    before = torch.get_num_threads()
+@pytest.mark.parametrize("most", [1, 2, 99])
+def test_threads_are_given_back(most: int) -> None:
+    torch_before, numba_before = torch.get_num_threads(), nb.get_num_threads()
     try:
         torch.set_num_threads(3)
-        with pytest.raises(ZeroDivisionError), one_torch_thread():
-            assert torch.get_num_threads() == 1
+        with pytest.raises(ZeroDivisionError), threads_at_most(most):
+            assert torch.get_num_threads() == 1 and nb.get_num_threads() == min(most, numba_before)
             raise ZeroDivisionError
-        assert torch.get_num_threads() == 3
+        assert torch.get_num_threads() == 3 and nb.get_num_threads() == numba_before
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(torch_before)

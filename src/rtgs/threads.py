@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
+import numba as nb
 import torch
 
 A = TypeVar("A")
@@ -50,12 +51,14 @@ def in_order(
 
 
 @contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """PyTorch's operations on the calling thread alone: where they are small next to kernels of our own, its other threads mostly wait,
-    and how many there are would change last digits of sums."""
-    threads = torch.get_num_threads()
+def threads_at_most(numba: int) -> Iterator[None]:
+    """So many of Numba's, and of PyTorch's the calling one alone: where PyTorch's operations are small next to kernels of our own, its
+    other threads mostly wait, and how many there are would change last digits of sums."""
+    before = torch.get_num_threads(), nb.get_num_threads()
     torch.set_num_threads(1)
+    nb.set_num_threads(min(numba, before[1]))
     try:
         yield
     finally:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(before[0])
+        nb.set_num_threads(before[1])

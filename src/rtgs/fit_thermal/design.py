@@ -29,7 +29,6 @@ from rtgs.threads import in_order
 T = TypeVar("T")
 
 VIEWS_BYTES = 2 << 30
-SMALL_PICTURE = 1 << 16  # pixels: of smaller ones threads of Python spend what they gain on waiting for each other
 
 
 class Design:
@@ -55,8 +54,6 @@ class Design:
     ) -> None:
         self.gaussians, self.coefficients = len(gaussians), sh.coefficients(degree)
         self.size = self.gaussians * self.coefficients + 1
-        rows = camera.rows(every)
-        self._pixels = rows.height * rows.width
         self._means = np.ascontiguousarray(gaussians.means.detach().numpy(), dtype=np.float32)
         self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
         self._visible: dict[int, NDArray[np.int32]] = {}  # by frame; views may not be kept
@@ -69,11 +66,9 @@ class Design:
         return len(self._centres)
 
     def each(self, work: Callable[[int], T], frames: Sequence[int]) -> Generator[T]:
-        """`work` of each frame, in order; by several threads where the frames' weights are kept and pictures are large, so of what it
-        shares with others `work` writes what is the frame's alone. PyTorch would split large pictures among threads of its own: NumPy and
-        Numba do not."""
-        threads = nb.get_num_threads() if self._pixels >= SMALL_PICTURE else 1
-        return in_order(work, frames, threads, lambda frame: not self._views.is_concurrent(frame))
+        """`work` of each frame, in order; by Numba's number of threads where the frames' weights are kept, so of what it shares with others
+        `work` writes what is the frame's alone. PyTorch would split large pictures among threads of its own: NumPy and Numba do not."""
+        return in_order(work, frames, nb.get_num_threads(), lambda frame: not self._views.is_concurrent(frame))
 
     def harmonics(self, x: Tensor) -> Tensor:
         """The view `[N, K, …]` of unknowns `[D, …]`; the background is their last row."""

@@ -7,6 +7,7 @@ function is one thread's work and lets go of Python's lock: frames go side by si
 from __future__ import annotations
 
 import math
+from collections.abc import Sized
 
 import numba as nb
 import numpy as np
@@ -41,29 +42,44 @@ def _fill_basis(means: Floats, n: int, centre: Floats, b: Floats) -> None:
 
 
 @_jit
-def colors_of(means: Floats, centre: Floats, visible: Ints, sh: Floats, out: Floats) -> None:
-    """out `[N, C]` = basis · sh of those in visible `[V]`, the rest is left alone; means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
-    _, k, channels = sh.shape
-    b = np.empty(k, np.float32)
+def _colors_of(
+    means: Floats, centre: Floats, visible: Ints, sh: Floats, coefficients: Sized, channels: Sized, out: Floats
+) -> None:
+    b = np.empty(len(coefficients), np.float32)
     for n in visible:
         _fill_basis(means, n, centre, b)
-        for c in range(channels):
-            out[n, c] = 0.0
-        for j in range(k):
-            for c in range(channels):
-                out[n, c] += b[j] * sh[n, j, c]
+        for c in range(len(channels)):
+            color = np.float32(0)
+            for j in range(len(coefficients)):
+                color += b[j] * sh[n, j, c]
+            out[n, c] = color
 
 
 @_jit
-def add_transpose(means: Floats, centre: Floats, visible: Ints, colors: Floats, out: Floats) -> None:
-    """out `[N, K, C]` += basis ⊗ colors `[N, C]` of those in visible `[V]`."""
-    _, k, channels = out.shape
-    b = np.empty(k, np.float32)
+def _add_transpose(
+    means: Floats, centre: Floats, visible: Ints, colors: Floats, coefficients: Sized, channels: Sized, out: Floats
+) -> None:
+    b = np.empty(len(coefficients), np.float32)
     for n in visible:
         _fill_basis(means, n, centre, b)
-        for j in range(k):
-            for c in range(channels):
+        for j in range(len(coefficients)):
+            for c in range(len(channels)):
                 out[n, j, c] += b[j] * colors[n, c]
+
+
+def colors_of(means: Floats, centre: Floats, visible: Ints, sh: Floats, out: Floats) -> None:
+    """out `[N, C]` = basis · sh of those in visible `[V]`, the rest is left alone; means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
+    _colors_of(means, centre, visible, sh, *_sizes(sh), out)
+
+
+def add_transpose(means: Floats, centre: Floats, visible: Ints, colors: Floats, out: Floats) -> None:
+    """out `[N, K, C]` += basis ⊗ colors `[N, C]` of those in visible `[V]`."""
+    _add_transpose(means, centre, visible, colors, *_sizes(out), out)
+
+
+def _sizes(sh: Floats) -> tuple[Sized, Sized]:
+    """K and C as lengths of tuples, so that they are part of the compiled type: the inner loops are a few numbers long."""
+    return (0,) * sh.shape[1], (0,) * sh.shape[2]
 
 
 @_jit

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
+import numba as nb
 import numpy as np
 import torch
 from torch import Tensor
@@ -23,13 +24,13 @@ from rtgs.fit_thermal.design import Design
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
 from rtgs.fit_thermal.frames import ThermalFrames, color_range, training_range
 from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
-from rtgs.fit_thermal.robust import solve_robustly
+from rtgs.fit_thermal.robust import Promising, RobustSolution, all_of_them, solve_robustly
 from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
 from rtgs.sensor import quadratic_terms, sensor_pattern
-from rtgs.threads import one_torch_thread
+from rtgs.threads import threads_at_most
 
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
 # held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
@@ -40,7 +41,9 @@ RIDGE_FACTORS = (0.1, 0.3, 1.0, 3.0)  # tried on validation frames
 DEFAULT_FACTOR = 0.3  # until one is chosen, and where there are too few frames to try
 
 VALIDATE_EVERY = 8  # of the training frames
-SETTLED_SHARE, SETTLED_AFTER = 0.02, 2  # a validation error that fell by less over so many iterations
+SETTLED_AFTER = 2  # a validation error is settled that fell, over so many iterations, by less than a share of it:
+SETTLED_LOOK, SETTLED_RIDGE = 0.02, 0.01  # by squares, where drift and pattern are looked at; by Huber's loss, for the ridge
+HOPELESS = 4.0  # times that fall behind the best: strong ridges come from behind
 HUBER = 0.3  # residuals count by their square up to so many root mean squares, beyond by their size
 OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
 DRIFT_FRAMES = 3  # so many of them be there
@@ -53,6 +56,7 @@ USUAL_PASSES = 40
 LAST_ITERATIONS = 8  # on all frames, from what most of them led to
 PIXELS = 2_800_000  # of all photographs together are looked at, or one row of
 MOST_ROWS = 4
+SMALL_PICTURE = 1 << 16  # pixels looked at: with fewer, threads spend what they gain on waiting for each other
 
 
 class Passes:
@@ -215,7 +219,6 @@ class Fit:
         return kind, in_gauge(self.drift(kind, images, self.everywhere)[0])[0]
 
 
-@one_torch_thread()
 def fit_linear(
     scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
@@ -223,6 +226,22 @@ def fit_linear(
     span = color_range(scene)
     whole = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
     every = sampling(len(whole), whole.valid)
+    is_small = whole.valid.numel() < every * SMALL_PICTURE
+    with threads_at_most(1 if is_small else nb.get_num_threads()):
+        return _fit(scene, rgb_model, sfm_per_metre, config, progress, span, whole, every)
+
+
+def _fit(
+    scene: Scene,
+    rgb_model: RgbModel,
+    sfm_per_metre: float,
+    config: ThermalConfig,
+    progress: Progress | None,
+    span: ThermalRange,
+    whole: ThermalFrames,
+    every: int,
+) -> ThermalModel:
+    """`whole`: of which one row in `every` is looked at."""
     data = whole.rows(every)
     median = float(torch.cat([i[data.valid > 0] for i in data.images]).median())
     passes = Passes(len(data) * USUAL_PASSES, progress)
@@ -327,30 +346,38 @@ def clearly_less(errors: Tensor, before: Tensor, by: float) -> bool:
 
 
 class Watch:
-    """For `settled` of a solver: whether iterations do little for the error of the validation frames, which its problems leave out, in
-    any of them that may yet win: what is ahead now need not be where it ends. Not so those that would stay behind the best if they fell
-    by as much again.
+    """Over problems side by side, by the error of the validation frames, which these leave out.
+
+    Args:
+        kinds: of drift, one a problem. share: of an error; to fall by less, over `SETTLED_AFTER` iterations, is to be settled.
 
     Attributes:
-        shown: `[h, w, C]`, of the validation frames. errors: `[C]`, each of its own kind.
+        errors: `[C]`.
     """
 
-    def __init__(self, judge: Judge, kinds: Sequence[Kind]) -> None:
-        self.shown: dict[int, Tensor] = {}
+    def __init__(self, judge: Judge, kinds: Sequence[Kind], share: float) -> None:
         self.errors = torch.zeros(len(kinds))
-        self._judge, self._kinds = judge, kinds
+        self._judge, self._kinds, self._share = judge, kinds, share
         self._before = [torch.full((len(kinds),), math.inf)] * SETTLED_AFTER
 
-    def __call__(self, x: Tensor) -> bool:
+    def is_settled(self, x: Tensor) -> bool:
+        """For `solve`: see `promising`."""
+        return not self.promising(x, range(len(self._kinds)))
+
+    def promising(self, x: Tensor, columns: Sequence[int]) -> list[int]:
+        """For `solve_robustly`: problems that may yet win. None, where iterations do little for any but those that would stay behind
+        the best if they fell by as much again."""
         fit = self._judge.fit
-        images = fit.design.each(lambda f: fit.design.image(f, x), self._judge.validation)
-        self.shown = dict(zip(self._judge.validation, images, strict=True))
-        for c, kind in enumerate(self._kinds):
-            self.errors[c] = self._judge.errors(kind, {f: image[..., c] for f, image in self.shown.items()}).sum()
+        images = list(fit.design.each(lambda f: fit.design.image(f, x), self._judge.validation))
+        for at, c in enumerate(columns):
+            shown = {f: image[..., at] for f, image in zip(self._judge.validation, images, strict=True)}
+            self.errors[c] = self._judge.errors(self._kinds[c], shown).sum()
         self._before.append(self.errors.clone())
         before = self._before[-1 - SETTLED_AFTER]
-        is_behind = 2.0 * self.errors - before > self.errors.min()
-        return bool((is_behind | (self.errors > (1.0 - SETTLED_SHARE) * before)).all())
+        fall, behind = before - self.errors, self.errors - self.errors.min()
+        if bool(((behind > fall) | (fall < self._share * before)).all()):
+            return []
+        return [c for c in columns if behind[c] <= HOPELESS * fall[c]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,8 +412,8 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
         return Look("off" if drift == "auto" else drift, only, False, only, only)
     offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
     problem = fit.problem((DEFAULT_FACTOR,) * 3, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
-    watch = Watch(judge, ["offset", "offset", "off"])
-    x = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch, each=fit.each)
+    watch = Watch(judge, ["offset", "offset", "off"], SETTLED_LOOK)
+    x = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch.is_settled, each=fit.each)
     usual, bare, steady = Solved.of(fit, x)
     looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.images, "off", OFFSET_SHARE)
     found = Look("offset", usual, looks_drifting, usual, bare)
@@ -399,32 +426,37 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     return replace(found, kind="off", found=steady)
 
 
-def robustly(
-    judge: Judge, factors: Sequence[float], kind: Kind, start: Solved, iterations: int, watch: Watch | None = None
-) -> list[Solved]:
-    """Under several ridges, by Huber's loss, with the gains that suit the images of `start`."""
-    fit, rest = judge.fit, judge.rest
-    problem = fit.problem(factors, rest, drift=fit.gauged(kind, start.images))
-    shown = [start.images[f][..., None] for f in rest]
-    settled = watch or (lambda x: False)
-    solution = solve_robustly(problem, start.x, huber=HUBER, iterations=iterations, shown=shown, settled=settled, each=fit.each)
-    known = {f: solution.shown(f) for f in rest} | {f: fit.design.image(f, solution.x) for f in judge.validation}
-    return Solved.of(fit, solution.x, known)
-
-
 def choose_ridge(judge: Judge, kind: Kind, start: Solved) -> tuple[float, Solved]:
-    """The factor with the smallest error, and what it leads to; with the sensor's pattern out."""
+    """The factor with the smallest error by Huber's loss, and what it leads to; with the sensor's pattern out."""
     if not judge.validation:
         return DEFAULT_FACTOR, start
-    watch = Watch(judge, [kind] * len(RIDGE_FACTORS))
-    solved = robustly(judge, RIDGE_FACTORS, kind, start, ITERATIONS, watch)
-    chosen = int(watch.errors.argmin())
-    return RIDGE_FACTORS[chosen], Solved(solved[chosen].x, [i.clone() for i in solved[chosen].images])  # the others may go
+    watch = Watch(judge, [kind] * len(RIDGE_FACTORS), SETTLED_RIDGE)
+    solution = robustly(judge, RIDGE_FACTORS, kind, start, ITERATIONS, watch.promising)
+    best = int(watch.errors[solution.columns].argmin())
+    return RIDGE_FACTORS[solution.columns[best]], judged(judge, solution, best)
 
 
 def further(judge: Judge, kind: Kind, start: Solved) -> Solved:
     """A few iterations."""
-    return robustly(judge, (DEFAULT_FACTOR,), kind, start, DRIFT_ITERATIONS)[0]
+    return judged(judge, robustly(judge, (DEFAULT_FACTOR,), kind, start, DRIFT_ITERATIONS), 0)
+
+
+def robustly(
+    judge: Judge, factors: Sequence[float], kind: Kind, start: Solved, iterations: int, promising: Promising = all_of_them
+) -> RobustSolution:
+    """Under several ridges, with the gains that suit the images of `start`."""
+    problem = judge.fit.problem(factors, judge.rest, drift=judge.fit.gauged(kind, start.images))
+    shown = [start.images[f][..., None] for f in judge.rest]
+    each = judge.fit.each
+    return solve_robustly(problem, start.x, huber=HUBER, iterations=iterations, shown=shown, promising=promising, each=each)
+
+
+def judged(judge: Judge, solution: RobustSolution, column: int) -> Solved:
+    """One of the problems that are left, in the validation frames too."""
+    x = solution.x[:, column : column + 1].clone()
+    known = {f: solution.shown(f)[..., column].clone() for f in judge.rest}  # the other problems may go
+    known |= {f: judge.fit.design.image(f, x)[..., 0] for f in judge.validation}
+    return Solved(x, [known[f] for f in range(len(judge.fit.data))])
 
 
 def choose_gains(judge: Judge, kind: Kind, start: Solved) -> tuple[Kind, Solved]:

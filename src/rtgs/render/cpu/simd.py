@@ -176,14 +176,26 @@ def store(typingctx, array, index, value):
 
 
 @intrinsic
-def load_uint16(typingctx, array, index):
-    """Sixteen numbers of a contiguous uint16 array, as float32."""
+def copy_half(typingctx, to, to_index, array, index):
+    """Half a register's numbers from one contiguous array's flat index to another's of the same kind. Bounds are the caller's."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        short = builder.load(address(context, builder, sig.args[0], args[0], args[1]), align=2)
-        return builder.sitofp(builder.zext(short, vector_of(int_lanes)), vector_of(float_lanes))
+        half = ir.VectorType(context.get_data_type(array.dtype), LANES // 2).as_pointer()
+        source, target = (
+            builder.bitcast(builder.gep(context.make_array(kind)(context, builder, a).data, [i]), half)
+            for kind, a, i in ((sig.args[2], args[2], args[3]), (sig.args[0], args[0], args[1]))
+        )
+        align = array.dtype.bitwidth // 8
+        builder.store(builder.load(source, align=align), target, align=align)
+        return context.get_dummy_value()
 
-    return float_lanes(types.Array(types.uint16, 1, "C"), types.intp), codegen
+    return types.void(to, types.intp, array, types.intp), codegen
+
+
+def uint16_lanes(context: Any, builder: Any, kind: types.Array, array: Any, index: Any) -> Any:
+    """Sixteen numbers of a contiguous uint16 array, as float32."""
+    short = builder.load(address(context, builder, kind, array, index), align=2)
+    return builder.sitofp(builder.zext(short, vector_of(int_lanes)), vector_of(float_lanes))
 
 
 @intrinsic
@@ -360,25 +372,30 @@ def lowest_bit(typingctx, bits):
     return types.int64(types.int64), codegen
 
 
+def halves_added(builder: Any, vector: Any, width: int) -> Any:
+    """The upper half of the lanes added to the lower one, again and again until `width` of them are left."""
+    left = LANES
+    while left > width:
+        left //= 2
+        index = ir.VectorType(ir.IntType(32), left)
+        low, high = (
+            builder.shuffle_vector(
+                vector,
+                ir.Constant(vector.type, ir.Undefined),
+                ir.Constant(index, [ir.Constant(ir.IntType(32), k + first) for k in range(left)]),
+            )
+            for first in (0, left)
+        )
+        vector = builder.fadd(low, high, flags=FLAGS)
+    return vector
+
+
 @intrinsic
 def total(typingctx, a):
     """Sum over the lanes, as a balanced tree: the same for every machine."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector, width = args[0], LANES
-        while width > 1:
-            width //= 2
-            index = ir.VectorType(ir.IntType(32), width)
-            low, high = (
-                builder.shuffle_vector(
-                    vector,
-                    ir.Constant(vector.type, ir.Undefined),
-                    ir.Constant(index, [ir.Constant(ir.IntType(32), k + first) for k in range(width)]),
-                )
-                for first in (0, width)
-            )
-            vector = builder.fadd(low, high, flags=FLAGS)
-        return builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
+        return builder.extract_element(halves_added(builder, args[0], 1), ir.Constant(ir.IntType(32), 0))
 
     return a.dtype(a), codegen
 
