@@ -192,7 +192,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--netd-c", type=float, default=0.05)
-    parser.add_argument("--rgb-steps", type=int, default=2000)
+    parser.add_argument(
+        "--rgb-steps", type=int, default=RgbConfig().resolved().steps, help="as many as `rtgs run` takes, by default"
+    )
     parser.add_argument("--gaussians", type=int, help="budget of the RGB model; by default one for four pixels of an image")
     parser.add_argument("--offset-c", type=float, default=0.0)
     parser.add_argument("--gain", type=float, default=0.0)
