@@ -5,11 +5,12 @@ from __future__ import annotations
 import importlib
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
 
+import numba as nb
 import numpy as np
 import pytest
 import torch
@@ -296,12 +297,12 @@ def test_robust_solution_is_least_by_hubers_loss(offsets: bool) -> None:
 
     losses = [loss(start)]
 
-    def watch(x: torch.Tensor, columns: Sequence[int]) -> Sequence[int]:
+    def watch(x: torch.Tensor) -> bool:
         losses.append(loss(x))
-        return columns
+        return False
 
     shown = [fit.design.image(f, start) for f in frames]
-    x = solve_robustly(problem, start, huber=0.3, iterations=30, shown=shown, promising=watch).x
+    x = solve_robustly(problem, start, huber=0.3, iterations=30, shown=shown, settled=watch).x
     assert all(after < before * (1 + 1e-6) for before, after in itertools.pairwise(losses))
     solution = solve_robustly(problem, x, huber=1.0, iterations=0, shown=[fit.design.image(f, x) for f in frames])
     assert torch.equal(solution.x, x)
@@ -504,50 +505,53 @@ def test_few_frames(count: int, drift: Literal["auto", "offset", "gain-offset"])
 
 
 @pytest.mark.parametrize(
-    ("errors", "left"),
+    ("errors", "ends"),
     [
-        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99], [6.98, 7.98]], [2, 2, 2, 0]),  # both are settled
-        (
-            [[8.0, 9.0], [7.0, 8.5], [6.99, 8.2], [6.98, 7.9]],
-            [2, 2, 2, 0],
-        ),  # one falls, and would be behind if it fell as much again
-        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.1]], [2, 2, 2, 2]),  # would be ahead
-        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], [2, 2, 1, 1]),  # one passes the other, which no longer falls
-        ([[8.0, 9.0], [7.0, 8.0], [6.0, 8.3], [5.0, 8.3]], [2, 2, 2, 1]),  # one is four times as far behind as it fell
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99], [6.98, 7.98]], 4),  # all are settled
+        ([[8.0, 9.0], [7.0, 8.5], [6.99, 8.2], [6.98, 7.9]], 4),  # the other falls, and would be behind if it fell as much again
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.1]], None),  # would be ahead
+        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], None),  # the best itself still falls
     ],
 )
-def test_iterations_go_on_with_what_may_win(errors: list[list[float]], left: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_iterations_end_when_nothing_can_change_who_wins(
+    errors: list[list[float]], ends: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fit = least_squares(ring()[0], ring()[1])
-    judge, x = Judge(fit, [4]), fit.evidence.prior[:, None].expand(-1, 2)
-    watch, columns, counts = Watch(judge, [0, 1], 0.02), [0, 1], []  # type: ignore[list-item]
-    for row in errors:
-        monkeypatch.setattr(Judge, "errors", lambda self, kind, images, row=row: torch.tensor([row[kind]]))
-        columns = watch.promising(x[:, : len(columns)], columns)
-        counts.append(len(columns))
-    assert counts == left
+    judge, turn = Judge(fit, [4]), itertools.count()
+    monkeypatch.setattr(Judge, "errors", lambda self, kind, images: torch.tensor([errors[next(turn) // 2][kind]]))  # type: ignore[index]
+    watch = Watch(judge, [0, 1], 0.02)  # type: ignore[list-item]
+    x = fit.evidence.prior[:, None].expand(-1, 2)
+    settled = [watch(x) for _ in errors]
+    assert settled == [turn + 1 == ends for turn in range(len(errors))]
 
 
-def test_a_problem_that_is_dropped_leaves_the_others_alone() -> None:
-    """With offsets, outliers, and ridges far apart."""
+def test_the_ridge_with_the_smallest_error_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what it leads to is its own: the weaker the ridge, the more view dependence."""
+    linear, factors, sizes = importlib.import_module("rtgs.fit_thermal.linear"), (30.0, 3.0, 0.3, 0.01), []
+    fit = least_squares(ring()[0], ring()[1])
+    judge, start = Judge(fit, [4, 12]), linear.Solved.of(fit, fit.evidence.prior[:, None])[0]
+    monkeypatch.setattr(linear, "RIDGE_FACTORS", factors)
+    for best in range(4):
+        turn = itertools.count()
+        monkeypatch.setattr(Judge, "errors", lambda *_, turn=turn, best=best: torch.tensor([1.0 + (next(turn) % 4 != best)]))
+        factor, found = linear.choose_ridge(judge, "off", start)
+        assert factor == factors[best]
+        for image, expected in zip(found.images, fit.images(found.x), strict=True):  # of frames that were fitted, and were not
+            torch.testing.assert_close(image, expected[..., 0], atol=1e-5, rtol=0)
+        sizes.append(float(fit.design.harmonics(found.x)[:, 1:].norm()))
+    assert all(1.05 * under_stronger < under_weaker for under_stronger, under_weaker in itertools.pairwise(sizes))
+
+
+@pytest.mark.parametrize(("small", "threads"), [(1 << 30, 1), (0, nb.get_num_threads())])
+def test_small_pictures_get_one_thread(small: int, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    design, seen = importlib.import_module("rtgs.fit_thermal.design"), set()
+    monkeypatch.setattr(design, "SMALL_PICTURE", small)
+    real = design.in_order
+    monkeypatch.setattr(design, "in_order", lambda work, items, n, is_here: (seen.add(n), real(work, items, n, is_here))[1])
     scene, rgb, _ = ring()
-    fit = least_squares(outliers(scene), rgb)
-    frames, start = range(len(fit.data)), fit.evidence.prior[:, None]
-    shown = [fit.design.image(f, start) for f in frames]
-    offsets = torch.tensor([1.0, 0.0, 1.0])
-    together = fit.problem((0.1, 0.3, 3.0), frames, offsets=offsets)
-    turn = itertools.count()
-
-    def promising(x: torch.Tensor, columns: Sequence[int]) -> Sequence[int]:
-        assert x.shape[1] == len(columns)
-        return [c for c in columns if c != (None, 1, None, 0, None)[next(turn) % 5]]
-
-    found = solve_robustly(together, start, huber=0.3, iterations=6, shown=shown, promising=promising)
-    assert list(found.columns) == [2] and found.x.shape[1] == 1
-    alone = solve_robustly(together.only([2]), start, huber=0.3, iterations=6, shown=shown)
-    torch.testing.assert_close(found.x, alone.x, atol=1e-4, rtol=0)
-    for f in (0, 9):
-        torch.testing.assert_close(found.shown(f), alone.shown(f), atol=1e-4, rtol=0)
-        torch.testing.assert_close(found.weights(f), alone.weights(f), atol=1e-3, rtol=0)
+    model = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
+    gaussian_temperatures(scene, model)
+    assert seen == {threads}
 
 
 def test_eight_noisy_frames_get_a_ridge_that_suits_them() -> None:
@@ -572,10 +576,10 @@ def test_same_twice() -> None:
 @pytest.mark.parametrize("kept_bytes", [2 << 30, 1_200_000, 300_000])
 def test_threads_change_nothing(kept_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor where seven of 28 views have their weights kept and the others their lists, or half of them nothing."""
-    design, linear = (importlib.import_module(f"rtgs.fit_thermal.{name}") for name in ("design", "linear"))
+    design = importlib.import_module("rtgs.fit_thermal.design")
     scene, rgb, _ = ring()
     monkeypatch.setattr(Design.__init__, "__kwdefaults__", {"every": 1, "kept_bytes": kept_bytes})
-    monkeypatch.setattr(linear, "SMALL_PICTURE", 0)
+    monkeypatch.setattr(design, "SMALL_PICTURE", 0)
     models = []
     for threads in (1, 3):
         monkeypatch.setattr(design.nb, "get_num_threads", lambda threads=threads: threads)

@@ -202,6 +202,15 @@ def test_weights_are_kept_with_what_the_lists_leave() -> None:
 
 
 def test_no_weights_to_keep() -> None:
-    view = LinearRender(cloud(0), pinhole(20, 18), POSE)
-    view.keep_weights(1 << 20)
-    assert not view.image(torch.zeros(0, 1)).any() and view.adjoint(torch.ones(18, 20, 1))[0].shape == (0, 1)
+    """The background is all there is."""
+    view = kept(LinearRender(cloud(0), pinhole(20, 18), POSE))
+    torch.testing.assert_close(view.image(torch.zeros(0, 1), torch.tensor([0.7])), torch.full((18, 20, 1), 0.7))
+    colors, background = view.adjoint(torch.ones(18, 20, 1))
+    assert colors.shape == (0, 1) and float(background) == pytest.approx(360.0)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_colours_of_another_model_are_refused(keep: bool) -> None:
+    view = LinearRender(cloud(30), pinhole(20, 18), POSE)
+    with pytest.raises(ValueError, match="colours of 3 Gaussians, not 30"):
+        (kept(view) if keep else view).image(torch.zeros(3, 1))

@@ -55,9 +55,9 @@ def threads_at_most(numba: int) -> Iterator[None]:
     """So many of Numba's, and of PyTorch's the calling one alone: where PyTorch's operations are small next to kernels of our own, its
     other threads mostly wait, and how many there are would change last digits of sums."""
     before = torch.get_num_threads(), nb.get_num_threads()
-    torch.set_num_threads(1)
-    nb.set_num_threads(min(numba, before[1]))
     try:
+        torch.set_num_threads(1)
+        nb.set_num_threads(min(numba, before[1]))
         yield
     finally:
         torch.set_num_threads(before[0])

@@ -11,14 +11,14 @@ from torch import Tensor
 
 from rtgs import sh
 from rtgs.errors import RtgsError
-from rtgs.fit_thermal.design import Design
+from rtgs.fit_thermal.design import Design, threads_for
 from rtgs.fit_thermal.frames import ThermalFrames
 from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
 from rtgs.fit_thermal.linear import DEFAULT_FACTOR, ridge
 from rtgs.models import GaussianTemperatures, ThermalModel
 from rtgs.progress import Progress
 from rtgs.radiometry import ThermalRange
-from rtgs.scene import Scene
+from rtgs.scene import Frame, Scene
 
 SEEN_PX = 0.5  # a view sees a Gaussian that contributes this much to its pixels, all together
 SAMPLES = 8
@@ -47,6 +47,11 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
     frames = scene.train_frames
     if not frames:
         raise RtgsError("gaussian_temperatures: the scene has no training frame.")
+    with threads_for(scene.rig.thermal.width * scene.rig.thermal.height):
+        return _of_frames(scene, frames, model, progress)
+
+
+def _of_frames(scene: Scene, frames: Sequence[Frame], model: ThermalModel, progress: Progress | None) -> GaussianTemperatures:
     data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.colors)
     gaussians = model.gaussians
     design = Design(gaussians, scene.rig.thermal, data.poses, gaussians.sh_degree, model.settings)

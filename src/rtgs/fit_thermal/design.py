@@ -9,7 +9,7 @@ since the weights W, which are most of the work, are theirs in common.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from typing import TypeVar
 
 import numba as nb
@@ -24,11 +24,17 @@ from rtgs.fit_thermal import harmonics
 from rtgs.gaussians import Gaussians
 from rtgs.geometry import SE3
 from rtgs.render import LinearViews, RenderSettings
-from rtgs.threads import in_order
+from rtgs.threads import in_order, threads_at_most
 
 T = TypeVar("T")
 
 VIEWS_BYTES = 2 << 30
+SMALL_PICTURE = 1 << 16  # pixels: with fewer, threads spend what they gain on waiting for each other
+
+
+def threads_for(pixels: int) -> AbstractContextManager[None]:
+    """For work on pictures of so many pixels: Numba's threads, or one."""
+    return threads_at_most(1 if pixels < SMALL_PICTURE else nb.get_num_threads())
 
 
 class Design:
@@ -66,8 +72,9 @@ class Design:
         return len(self._centres)
 
     def each(self, work: Callable[[int], T], frames: Sequence[int]) -> Generator[T]:
-        """`work` of each frame, in order; by Numba's number of threads where the frames' weights are kept, so of what it shares with others
-        `work` writes what is the frame's alone. PyTorch would split large pictures among threads of its own: NumPy and Numba do not."""
+        """`work` of each frame, in order; by Numba's number of threads (see `threads_for`) where the frames' weights are kept, so of what
+        it shares with others `work` writes what is the frame's alone. PyTorch would split large pictures among threads of its own: NumPy
+        and Numba do not."""
         return in_order(work, frames, nb.get_num_threads(), lambda frame: not self._views.is_concurrent(frame))
 
     def harmonics(self, x: Tensor) -> Tensor:

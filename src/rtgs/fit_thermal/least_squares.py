@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -43,11 +43,6 @@ class Problem:
     background: float
     surface: Tensor | None = None
     surfaces: Tensor | None = None
-
-    def only(self, columns: Sequence[int]) -> Problem:
-        """Of the C; images are those of all."""
-        offsets, surfaces = (None if v is None else v[columns] for v in (self.offsets, self.surfaces))
-        return replace(self, offsets=offsets, surfaces=surfaces, ridge=self.ridge[:, columns], prior=self.prior[:, columns])
 
     def gradient(self, x: Tensor, each: Callable[[], None] = lambda: None) -> Tensor:
         """Half the direction of descent `[D, C]`."""

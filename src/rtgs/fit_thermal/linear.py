@@ -13,24 +13,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
-import numba as nb
 import numpy as np
 import torch
 from torch import Tensor
 
 from rtgs import sh
 from rtgs.config import ThermalConfig
-from rtgs.fit_thermal.design import Design
+from rtgs.fit_thermal.design import Design, threads_for
 from rtgs.fit_thermal.drift import Drift, Kind, estimate, in_gauge
 from rtgs.fit_thermal.frames import ThermalFrames, color_range, training_range
 from rtgs.fit_thermal.least_squares import Problem, preconditioner, solve
-from rtgs.fit_thermal.robust import Promising, RobustSolution, all_of_them, solve_robustly
+from rtgs.fit_thermal.robust import solve_robustly
 from rtgs.models import RgbModel, ThermalModel, between
 from rtgs.progress import Progress
 from rtgs.radiometry import LinearRange, ThermalRange, extended
 from rtgs.scene import Scene
 from rtgs.sensor import quadratic_terms, sensor_pattern
-from rtgs.threads import threads_at_most
 
 # The ridge, as pixels of evidence against which the data are weighed, per unit of a band's mean square over all directions. Band 0 is
 # held to the mean of the pixels that a Gaussian covers. The other bands are held to zero in proportion to that coverage: what the
@@ -43,20 +41,20 @@ DEFAULT_FACTOR = 0.3  # until one is chosen, and where there are too few frames 
 VALIDATE_EVERY = 8  # of the training frames
 SETTLED_AFTER = 2  # a validation error is settled that fell, over so many iterations, by less than a share of it:
 SETTLED_LOOK, SETTLED_RIDGE = 0.02, 0.01  # by squares, where drift and pattern are looked at; by Huber's loss, for the ridge
-HOPELESS = 4.0  # times that fall behind the best: strong ridges come from behind
-HUBER = 0.3  # residuals count by their square up to so many root mean squares, beyond by their size
+HUBER = 0.25  # residuals count by their square up to so many root mean squares, beyond by their size
 OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
 DRIFT_FRAMES = 3  # so many of them be there
 DRIFT_GAIN, LEVEL_LOSS = 0.005, 1.25  # differences are predicted better by this share, levels no worse than by this factor
-PATTERN_GAIN = 0.02  # what vignetting there is explains a third of the error or more, what there is not up to one per cent
+PATTERN_GAIN = (
+    0.1  # what vignetting there is explains a third of the error or more; what faults of the geometry feign, up to a twentieth
+)
 DRIFT_ITERATIONS = 4
 ITERATIONS = 60
 UNSEEN_ITERATIONS = 20  # where no frame is left to say when it is enough
 USUAL_PASSES = 40
-LAST_ITERATIONS = 8  # on all frames, from what most of them led to
+LAST_ITERATIONS = 12  # on all frames, from what most of them led to
 PIXELS = 2_800_000  # of all photographs together are looked at, or one row of
 MOST_ROWS = 4
-SMALL_PICTURE = 1 << 16  # pixels looked at: with fewer, threads spend what they gain on waiting for each other
 
 
 class Passes:
@@ -226,8 +224,7 @@ def fit_linear(
     span = color_range(scene)
     whole = ThermalFrames.of(scene, scene.train_frames, sfm_per_metre, span)
     every = sampling(len(whole), whole.valid)
-    is_small = whole.valid.numel() < every * SMALL_PICTURE
-    with threads_at_most(1 if is_small else nb.get_num_threads()):
+    with threads_for(whole.valid.numel() // every):
         return _fit(scene, rgb_model, sfm_per_metre, config, progress, span, whole, every)
 
 
@@ -346,7 +343,9 @@ def clearly_less(errors: Tensor, before: Tensor, by: float) -> bool:
 
 
 class Watch:
-    """Over problems side by side, by the error of the validation frames, which these leave out.
+    """For `settled` of a solver: whether iterations do little for the error of the validation frames, which its problems leave out, in
+    any of them that may yet win: what is ahead now need not be where it ends. Not so those that would stay behind the best if they fell
+    by as much again.
 
     Args:
         kinds: of drift, one a problem. share: of an error; to fall by less, over `SETTLED_AFTER` iterations, is to be settled.
@@ -360,24 +359,16 @@ class Watch:
         self._judge, self._kinds, self._share = judge, kinds, share
         self._before = [torch.full((len(kinds),), math.inf)] * SETTLED_AFTER
 
-    def is_settled(self, x: Tensor) -> bool:
-        """For `solve`: see `promising`."""
-        return not self.promising(x, range(len(self._kinds)))
-
-    def promising(self, x: Tensor, columns: Sequence[int]) -> list[int]:
-        """For `solve_robustly`: problems that may yet win. None, where iterations do little for any but those that would stay behind
-        the best if they fell by as much again."""
+    def __call__(self, x: Tensor) -> bool:
         fit = self._judge.fit
         images = list(fit.design.each(lambda f: fit.design.image(f, x), self._judge.validation))
-        for at, c in enumerate(columns):
-            shown = {f: image[..., at] for f, image in zip(self._judge.validation, images, strict=True)}
-            self.errors[c] = self._judge.errors(self._kinds[c], shown).sum()
+        for c, kind in enumerate(self._kinds):
+            shown = {f: image[..., c] for f, image in zip(self._judge.validation, images, strict=True)}
+            self.errors[c] = self._judge.errors(kind, shown).sum()
         self._before.append(self.errors.clone())
-        before = self._before[-1 - SETTLED_AFTER]
-        fall, behind = before - self.errors, self.errors - self.errors.min()
-        if bool(((behind > fall) | (fall < self._share * before)).all()):
-            return []
-        return [c for c in columns if behind[c] <= HOPELESS * fall[c]]
+        fall = self._before[-1 - SETTLED_AFTER] - self.errors
+        is_behind = self.errors - fall > self.errors.min()
+        return bool((is_behind | (fall < self._share * (self.errors + fall))).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,7 +404,7 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
     problem = fit.problem((DEFAULT_FACTOR,) * 3, judge.rest, offsets=offsets, surface=judge.surface, surfaces=surfaces)
     watch = Watch(judge, ["offset", "offset", "off"], SETTLED_LOOK)
-    x = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch.is_settled, each=fit.each)
+    x = solve(problem, start.expand(-1, 3), iterations=ITERATIONS, settled=watch, each=fit.each)
     usual, bare, steady = Solved.of(fit, x)
     looks_drifting = drift == "auto" and judge.is_worth_a_look(steady.images, "off", OFFSET_SHARE)
     found = Look("offset", usual, looks_drifting, usual, bare)
@@ -426,37 +417,32 @@ def look(judge: Judge, drift: Literal["auto"] | Kind) -> Look:
     return replace(found, kind="off", found=steady)
 
 
+def robustly(
+    judge: Judge, factors: Sequence[float], kind: Kind, start: Solved, iterations: int, watch: Watch | None = None
+) -> list[Solved]:
+    """Under several ridges, by Huber's loss, with the gains that suit the images of `start`."""
+    fit, rest = judge.fit, judge.rest
+    problem = fit.problem(factors, rest, drift=fit.gauged(kind, start.images))
+    shown = [start.images[f][..., None] for f in rest]
+    settled = watch or (lambda x: False)
+    solution = solve_robustly(problem, start.x, huber=HUBER, iterations=iterations, shown=shown, settled=settled, each=fit.each)
+    known = {f: solution.shown(f) for f in rest} | {f: fit.design.image(f, solution.x) for f in judge.validation}
+    return Solved.of(fit, solution.x, known)
+
+
 def choose_ridge(judge: Judge, kind: Kind, start: Solved) -> tuple[float, Solved]:
-    """The factor with the smallest error by Huber's loss, and what it leads to; with the sensor's pattern out."""
+    """The factor with the smallest error, and what it leads to; with the sensor's pattern out."""
     if not judge.validation:
         return DEFAULT_FACTOR, start
     watch = Watch(judge, [kind] * len(RIDGE_FACTORS), SETTLED_RIDGE)
-    solution = robustly(judge, RIDGE_FACTORS, kind, start, ITERATIONS, watch.promising)
-    best = int(watch.errors[solution.columns].argmin())
-    return RIDGE_FACTORS[solution.columns[best]], judged(judge, solution, best)
+    solved = robustly(judge, RIDGE_FACTORS, kind, start, ITERATIONS, watch)
+    chosen = int(watch.errors.argmin())
+    return RIDGE_FACTORS[chosen], Solved(solved[chosen].x, [i.clone() for i in solved[chosen].images])  # the others may go
 
 
 def further(judge: Judge, kind: Kind, start: Solved) -> Solved:
     """A few iterations."""
-    return judged(judge, robustly(judge, (DEFAULT_FACTOR,), kind, start, DRIFT_ITERATIONS), 0)
-
-
-def robustly(
-    judge: Judge, factors: Sequence[float], kind: Kind, start: Solved, iterations: int, promising: Promising = all_of_them
-) -> RobustSolution:
-    """Under several ridges, with the gains that suit the images of `start`."""
-    problem = judge.fit.problem(factors, judge.rest, drift=judge.fit.gauged(kind, start.images))
-    shown = [start.images[f][..., None] for f in judge.rest]
-    each = judge.fit.each
-    return solve_robustly(problem, start.x, huber=HUBER, iterations=iterations, shown=shown, promising=promising, each=each)
-
-
-def judged(judge: Judge, solution: RobustSolution, column: int) -> Solved:
-    """One of the problems that are left, in the validation frames too."""
-    x = solution.x[:, column : column + 1].clone()
-    known = {f: solution.shown(f)[..., column].clone() for f in judge.rest}  # the other problems may go
-    known |= {f: judge.fit.design.image(f, x)[..., 0] for f in judge.validation}
-    return Solved(x, [known[f] for f in range(len(judge.fit.data))])
+    return robustly(judge, (DEFAULT_FACTOR,), kind, start, DRIFT_ITERATIONS)[0]
 
 
 def choose_gains(judge: Judge, kind: Kind, start: Solved) -> tuple[Kind, Solved]:

@@ -20,20 +20,11 @@ from rtgs.render.cpu.planes import Planes, add_each
 SMALLEST_BOUND = 1e-4  # of the range: a start that fits exactly says nothing of how large errors are
 
 
-Promising = Callable[[Tensor, Sequence[int]], Sequence[int]]
-"""Of unknowns `[D, C]` of the problems that are left and which these are: which of them to go on with."""
-
-
-def all_of_them(x: Tensor, columns: Sequence[int]) -> Sequence[int]:
-    return columns
-
-
 @dataclass(frozen=True, eq=False)
 class RobustSolution:
-    """`x` `[D, C]` of the problems that were gone on with, `columns`; and what it leaves of the photographs."""
+    """`x` `[D, C]`, and what it leaves of the photographs."""
 
     x: Tensor
-    columns: Sequence[int]
     _misfits: Mapping[int, _Misfit]
 
     def shown(self, frame: int) -> Tensor:
@@ -52,7 +43,7 @@ def solve_robustly(
     huber: float,
     iterations: int,
     shown: Sequence[Tensor],
-    promising: Promising = all_of_them,
+    settled: Callable[[Tensor], bool] = lambda x: False,
     each: Callable[[], None] = lambda: None,
 ) -> RobustSolution:
     """From `start` `[D, 1 or C]`; as `solve`, but that a residual counts by its square up to `huber` times the root mean square of all at
@@ -64,18 +55,17 @@ def solve_robustly(
     Args:
         problem: without a surface. Its weights are multiplied by Huber's.
         shown: `[h, w, 1 or C]`, design · start of each of the problem's frames.
-        promising: asked after each iteration; none: it was the last iteration, of all that are left.
-        iterations, each: as of `solve`.
+        iterations, settled, each: as of `solve`.
     """
     if problem.surface is not None:
         raise ValueError("solve_robustly: a common surface is for `solve`.")
-    design, columns = problem.design, list(range(problem.ridge.shape[1]))
-    misfits = {f: _Misfit(problem, f, image, len(columns)) for f, image in zip(problem.frames, shown, strict=True)}
-    total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((len(columns), 3))).T
+    design, columns = problem.design, problem.ridge.shape[1]
+    misfits = {f: _Misfit(problem, f, image, columns) for f, image in zip(problem.frames, shown, strict=True)}
+    total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((columns, 3))).T
     for misfit in misfits.values():
         misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(SMALLEST_BOUND).astype(np.float32)
-    x = start.expand(-1, len(columns)).clone()
-    r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(len(columns), dtype=torch.float64)
+    x = start.expand(-1, columns).clone()
+    r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(columns, dtype=torch.float64)
     for _ in range(iterations):
         before, r = r, problem.ridge * (problem.prior - x)
         design.add_transpose(lambda f: misfits[f].weighted(), problem.frames, r, each)
@@ -89,15 +79,9 @@ def solve_robustly(
         x += step * p
         for misfit in misfits.values():
             misfit.go(step.numpy())
-        kept = promising(x, columns)
-        if not kept or bool((rz == 0).all()):
+        if settled(x) or bool((rz == 0).all()):
             break
-        if len(kept) < len(columns):
-            at = [columns.index(c) for c in kept]
-            columns, problem, (x, r, p, rz) = list(kept), problem.only(at), (v[..., at] for v in (x, r, p, rz))
-            for misfit in misfits.values():
-                misfit.only(at)
-    return RobustSolution(x, columns, misfits)
+    return RobustSolution(x, misfits)
 
 
 def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
@@ -147,13 +131,6 @@ class _Misfit:
     def go(self, step: Planes) -> None:
         """The remembered move, so far, when next asked what is left; the offset that suits goes with it."""
         self._step, self._centre = step, self._centre - step * self._shift
-
-    def only(self, columns: Sequence[int]) -> None:
-        """The others are forgotten."""
-        self.left, self._move, self.bound, self.level = (v[columns] for v in (self.left, self._move, self.bound, self.level))
-        self._offsets, self._centre, self._step, self._shift = (
-            v[columns] for v in (self._offsets, self._centre, self._step, self._shift)
-        )
 
     def shown(self) -> Tensor:
         return self._photograph - picture_of(self._now(), self._shape)

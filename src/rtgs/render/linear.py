@@ -76,6 +76,8 @@ class LinearRender:
 
     def image(self, colors: Tensor, background: Tensor | None = None) -> Tensor:
         """`[H, W, C]`: W·colors of `[N, C]`, plus (1 − α)·background of `[C]`."""
+        if len(colors) != self.gaussians:
+            raise ValueError(f"LinearRender.image: colours of {len(colors)} Gaussians, not {self.gaussians}.")
         if background is None:
             background = colors.new_zeros(colors.shape[1])
         return self._backend.image(colors.detach(), background.detach().expand(colors.shape[1]))

@@ -53,6 +53,7 @@ UNIT = 65535
 BACKGROUND = -1  # among splats
 BLOCK = 8  # pixels a side: a quarter of a patch
 PIXELS = BLOCK * BLOCK
+assert PIXELS == REGISTERS * LANES and 2 * BLOCK == PATCH == LANES
 LINE = 32  # weights in a cache line
 AHEAD = 32  # meetings whose weights are asked for before their turn, where sums are added to here and there in between
 
@@ -125,13 +126,10 @@ def _weigh_patch(batch, boxes, count, x, y, state, at, alive, rows, one, entries
 
 @nb.njit(cache=True, error_model="numpy")
 def _weigh_background(state, at, one, where_to, keep, splats, weights):
-    """What the transmittances at `at` leave of it."""
-    met = 0
+    """What the transmittances at `at` leave of it: something in every block, since compositing ends before they are 0."""
     for r in range(PATCH):
-        w = magnitude(load(state, at + r * PATCH)) * F(UNIT) + F(0.5)
-        met |= mask_bits(w >= F(1)) << (LANES * (r // BLOCK))
-        store_uint16(one, r * LANES, w)
-    _meet(BACKGROUND, met, one, where_to, keep, splats, weights)
+        store_uint16(one, r * LANES, magnitude(load(state, at + r * PATCH)) * F(UNIT) + F(0.5))
+    _meet(BACKGROUND, -1, one, where_to, keep, splats, weights)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -282,7 +280,7 @@ class Survey:
 
     @staticmethod
     def of(splats: Splats) -> Survey:
-        down, across = (-(-n // BLOCK) for n in splats.shape)
+        down, across = _blocks_of(splats.shape)
         counts = np.zeros(down * across, np.int64)
         survey = Survey(np.empty(splats.shape, np.float32), np.empty(len(splats.tile_starts) - 1, np.int64), counts)
         nothing: list[Any] = [np.empty(0, np.int32), np.empty(0, np.uint16)]
@@ -327,7 +325,7 @@ class Weights:
         return Weights(starts, whose, weights, _renumbered(whose, gaussians), gaussians, splats.shape)
 
     def _matrix(self, channels: int) -> list[Any]:
-        across = -(-self.shape[1] // BLOCK)
+        _, across = _blocks_of(self.shape)
         return [self.starts, self.splats, self.weights, self.seen, (0,) * (REGISTERS * channels), across]
 
     def image(self, colors: NDArray[np.float32], background: NDArray[np.float32]) -> NDArray[np.float32]:
