@@ -525,6 +525,20 @@ def test_iterations_end_when_nothing_can_change_who_wins(
     assert settled == [turn + 1 == ends for turn in range(len(errors))]
 
 
+@pytest.mark.parametrize(("left", "there"), [(0.95, False), (0.85, True)])
+def test_what_explains_little_is_no_pattern(left: float, there: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Faults of the geometry that stay in the same place of all pictures look like vignetting, and explain a twentieth of the error."""
+    linear = importlib.import_module("rtgs.fit_thermal.linear")
+    scene, rgb, _ = ring()
+    fit = least_squares(changed(scene, lambda i, t: t + 2.0 * np.linspace(-1, 1, t.shape[1]) ** 2), rgb)
+    judge = Judge(fit, [4, 12, 20], fit.surface())
+    seen = linear.look(judge, "auto")
+    errors = torch.tensor([5.0, 5.1, 4.9])
+    is_bare = lambda images: images is seen.without.images  # noqa: E731
+    monkeypatch.setattr(Judge, "errors", lambda self, kind, images: errors if is_bare(images) else left * errors)
+    assert linear.has_pattern(judge, seen) == there
+
+
 def test_the_ridge_with_the_smallest_error_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     """And what it leads to is its own: the weaker the ridge, the more view dependence."""
     linear, factors, sizes = importlib.import_module("rtgs.fit_thermal.linear"), (30.0, 3.0, 0.3, 0.01), []
