@@ -45,9 +45,7 @@ HUBER = 0.25  # residuals count by their square up to so many root mean squares,
 OFFSET_SHARE, GAIN_SHARE = 0.05, 0.02  # of the error on validation frames must be their own offsets', gains' for a look at drift
 DRIFT_FRAMES = 3  # so many of them be there
 DRIFT_GAIN, LEVEL_LOSS = 0.005, 1.25  # differences are predicted better by this share, levels no worse than by this factor
-PATTERN_GAIN = (
-    0.1  # what vignetting there is explains a third of the error or more; what faults of the geometry feign, up to a twentieth
-)
+PATTERN_GAIN = 0.1  # what vignetting there is explains a third of the error or more; what geometry's faults feign, a twentieth
 DRIFT_ITERATIONS = 4
 ITERATIONS = 60
 UNSEEN_ITERATIONS = 20  # where no frame is left to say when it is enough
