@@ -100,10 +100,8 @@ def report(problem: Problem, rates: list[float], steps: list[int]) -> None:
     unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
     print(f"\n{problem.name}: {len(problem.rgb.gaussians):,} Gaussians, {len(scene.train_frames)} training frames of ", end="")
     print(f"{scene.rig.thermal.width} × {scene.rig.thermal.height}\n", flush=True)
-    for config in (
-        ThermalConfig(),
-        ThermalConfig(solver="adam", steps=2),
-    ):  # kernels are compiled or loaded before the clock runs
+    for config in (ThermalConfig(), ThermalConfig(solver="adam", steps=2)):
+        # Kernels are compiled or loaded before the clock runs.
         fit_thermal(scene, problem.rgb, problem.sfm_per_metre, config)
     rows: list[tuple[str, Score, float]] = []
     runs = [timed(scene, problem, ThermalConfig()) for _ in range(3)]  # short: one may meet with something else on the machine

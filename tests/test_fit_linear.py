@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Literal
 
-import numba as nb
 import numpy as np
 import pytest
 import torch
@@ -534,8 +533,7 @@ def test_what_explains_little_is_no_pattern(left: float, there: bool, monkeypatc
     judge = Judge(fit, [4, 12, 20], fit.surface())
     seen = linear.look(judge, "auto")
     errors = torch.tensor([5.0, 5.1, 4.9])
-    is_bare = lambda images: images is seen.without.images  # noqa: E731
-    monkeypatch.setattr(Judge, "errors", lambda self, kind, images: errors if is_bare(images) else left * errors)
+    monkeypatch.setattr(Judge, "errors", lambda _, kind, images: errors * (1.0 if images is seen.without.images else left))
     assert linear.has_pattern(judge, seen) == there
 
 
@@ -556,16 +554,18 @@ def test_the_ridge_with_the_smallest_error_is_chosen(monkeypatch: pytest.MonkeyP
     assert all(1.05 * under_stronger < under_weaker for under_stronger, under_weaker in itertools.pairwise(sizes))
 
 
-@pytest.mark.parametrize(("small", "threads"), [(1 << 30, 1), (0, nb.get_num_threads())])
+@pytest.mark.parametrize(("small", "threads"), [(1 << 30, 1), (0, 3)])
 def test_small_pictures_get_one_thread(small: int, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    design, seen = importlib.import_module("rtgs.fit_thermal.design"), set()
+    design, seen, count = importlib.import_module("rtgs.fit_thermal.design"), set(), [3]
     monkeypatch.setattr(design, "SMALL_PICTURE", small)
+    monkeypatch.setattr(design.nb, "get_num_threads", lambda: count[0])
+    monkeypatch.setattr(design.nb, "set_num_threads", lambda n: count.__setitem__(0, n))
     real = design.in_order
     monkeypatch.setattr(design, "in_order", lambda work, items, n, is_here: (seen.add(n), real(work, items, n, is_here))[1])
     scene, rgb, _ = ring()
     model = fit_thermal(scene, rgb, SFM_PER_METRE, LINEAR)
     gaussian_temperatures(scene, model)
-    assert seen == {threads}
+    assert seen == {threads} and count == [3]
 
 
 def test_eight_noisy_frames_get_a_ridge_that_suits_them() -> None:

@@ -52,6 +52,7 @@ def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progre
 
 
 def _of_frames(scene: Scene, frames: Sequence[Frame], model: ThermalModel, progress: Progress | None) -> GaussianTemperatures:
+    """See `gaussian_temperatures`."""
     data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.colors)
     gaussians = model.gaussians
     design = Design(gaussians, scene.rig.thermal, data.poses, gaussians.sh_degree, model.settings)

@@ -242,11 +242,22 @@ def _image(starts, splats, weights, seen, registers, across, colors, background,
         _place(state, block // across * BLOCK, block % across * BLOCK, image)
 
 
+@nb.njit(inline="always")
+def _taken(sums, at):
+    """The sum that is kept in `SUMMED` parts, which are 0 from here on."""
+    total = 0.0
+    for i in range(at * SUMMED, (at + 1) * SUMMED):
+        total += sums[i]
+        sums[i] = 0
+    return total
+
+
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _adjoint(starts, splats, weights, seen, registers, across, image, colors, background):
-    """The transpose, into colors `[N, C]`, where they are not 0, and background `[C]`."""
+    """The transpose, into colors `[N, C]`, where they are not 0, and background `[C]`, in float64."""
     channels = len(image)
     state, sums = aligned(channels * PIXELS), np.zeros((len(seen) + 1) * channels * SUMMED, np.float32)
+    background[:] = 0
     for block in range(len(starts) - 1):
         _fetch(image, block // across * BLOCK, block % across * BLOCK, state)
         pixels = load_all(registers, state)
@@ -254,15 +265,11 @@ def _adjoint(starts, splats, weights, seen, registers, across, image, colors, ba
             for line in range(PIXELS // LINE):
                 prefetch(weights, (m + AHEAD) * PIXELS + line * LINE)
             add_products(sums, splats[m] * channels * SUMMED, pixels, weights, m * PIXELS)
-    for v in range(len(seen) + 1):
+        for c in range(channels):  # what adds up over the whole picture is taken block by block, or its last digits would go
+            background[c] += _taken(sums, len(seen) * channels + c) / UNIT
+    for v in range(len(seen)):
         for c in range(channels):
-            total = F(0)
-            for i in range(SUMMED):
-                total += sums[(v * channels + c) * SUMMED + i]
-            if v < len(seen):
-                colors[seen[v], c] = F(1 / UNIT) * total
-            else:
-                background[c] = F(1 / UNIT) * total
+            colors[seen[v], c] = _taken(sums, v * channels + c) / UNIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,10 +345,10 @@ class Weights:
     def adjoint(self, image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """`[N, C]` and `[C]` of `[H, W, C]`: the transpose."""
         planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
-        colors, background = np.zeros((self.gaussians, len(planes)), np.float32), np.empty(len(planes), np.float32)
+        colors, background = np.zeros((self.gaussians, len(planes)), np.float32), np.empty(len(planes))
         arguments = [*self._matrix(len(planes)), planes, colors, background]
         _adjoint(*arguments)
-        return colors, background
+        return colors, background.astype(np.float32)
 
     @property
     def nbytes(self) -> int:
