@@ -90,7 +90,7 @@ class LinearRender:
 
     def keep_weights(self, within: int) -> None:
         """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
-        0.13 to 0.2 of the processor's time, on one thread: views go side by side. "cpu" only; "reference" goes on as before."""
+        0.14 to 0.2 of the processor's time, on one thread: views go side by side. "cpu" only; "reference" goes on as before."""
         self._backend.keep_weights(within)
 
     @property
