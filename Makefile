@@ -39,7 +39,7 @@ test: export NUMBA_NUM_THREADS = 1
 test: export OMP_NUM_THREADS = 1
 test: export MKL_NUM_THREADS = 1
 test: lint
-	$(BIN)/python tests/compile_kernels.py
+	$(BIN)/python tests/helpers/compile_kernels.py
 	$(BIN)/python -m pytest -q -n 2
 
 demo: $(STAMP)

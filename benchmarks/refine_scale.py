@@ -22,15 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from rtgs.benchmarks.scenery import Trial, prepare
-from rtgs.benchmarks.variants import Variant
 from rtgs.config import SCENES, RgbConfig, ScaleConfig, SynthConfig
-from rtgs.geometry import axis_angle_from_rotation
+from rtgs.experiments.scenery import Trial, prepare
+from rtgs.experiments.variants import Variant
+from rtgs.maths.geometry import axis_angle_from_rotation
+from rtgs.records.scene import CalibrationStd, Rig
 from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scale.calibration import freedoms
 from rtgs.scale.records import Counter
 from rtgs.scale.refine import refine
-from rtgs.scene import CalibrationStd, Rig
 from rtgs.synthetic.capture import true_rig
 
 

@@ -41,12 +41,12 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 import render_floor
-from rtgs.camera import Camera
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
-from rtgs.image import GRAY_WEIGHTS
-from rtgs.render import Direction, LinearRender, RenderSettings, render, render_with_tangents
-from rtgs.sh import C0
+from rtgs.images.filters import GRAY_WEIGHTS
+from rtgs.maths.geometry import SE3
+from rtgs.maths.sh import C0
+from rtgs.records.camera import Camera
+from rtgs.records.gaussians import Gaussians
+from rtgs.renderer import Direction, LinearRender, RenderSettings, render, render_with_tangents
 
 Numbers = dict[str, Any]
 FIELD_OF_VIEW_RAD = 0.6911112  # NeRF-Synthetic's
@@ -56,15 +56,15 @@ GRAY = RenderSettings(channel_weights=GRAY_WEIGHTS)
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "-avx512f"}
 # Stage → where its compiled function is called from. The timer takes its place there.
 STAGES = {
-    "SH": ("rtgs.render.cpu.sh", "evaluate"),
-    "projection": ("rtgs.render.cpu.projection", "project"),
-    "sort": ("rtgs.render.cpu.tiles", "depth_order"),
-    "binning": ("rtgs.render.cpu.tiles", "bin_splats"),
-    "blend": ("rtgs.render.cpu.splats", "blend"),
-    "blend, backward": ("rtgs.render.cpu.splats", "blend_backward"),
-    "projection, backward": ("rtgs.render.cpu.projection", "project_backward"),
-    "SH, backward": ("rtgs.render.cpu.sh", "evaluate_backward"),
-    "optimiser": ("rtgs.optim", "_update"),
+    "SH": ("rtgs.renderer.cpu.sh", "evaluate"),
+    "projection": ("rtgs.renderer.cpu.projection", "project"),
+    "sort": ("rtgs.renderer.cpu.tiles", "depth_order"),
+    "binning": ("rtgs.renderer.cpu.tiles", "bin_splats"),
+    "blend": ("rtgs.renderer.cpu.splats", "blend"),
+    "blend, backward": ("rtgs.renderer.cpu.splats", "blend_backward"),
+    "projection, backward": ("rtgs.renderer.cpu.projection", "project_backward"),
+    "SH, backward": ("rtgs.renderer.cpu.sh", "evaluate_backward"),
+    "optimiser": ("rtgs.maths.adam", "_update"),
 }
 
 
@@ -176,7 +176,7 @@ def measure_avx2(sizes: list[int], gaussians: int, repeats: int, inspect_code: b
 
 def registers(kind: str) -> int:
     """How often the back end's compiled code names a register of this kind. Code read from Numba's cache cannot be inspected."""
-    modules = [m for name, m in sys.modules.items() if name.startswith("rtgs.render.cpu")]
+    modules = [m for name, m in sys.modules.items() if name.startswith("rtgs.renderer.cpu")]
     functions = {f for m in modules for f in vars(m).values() if isinstance(f, numba.core.dispatcher.Dispatcher)}
     return sum(len(re.findall(rf"%{kind}\d", text)) for f in functions for text in f.inspect_asm().values())
 
@@ -280,8 +280,8 @@ def matrix_of_weights(model: Gaussians, camera: Camera, pose: SE3) -> csr_matrix
 
 
 def measure_stages(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
-    from rtgs.optim import Adam
-    from rtgs.render.cpu.layout import tile_side
+    from rtgs.maths.adam import Adam
+    from rtgs.renderer.cpu.layout import tile_side
 
     flops, bytes_per_s = render_floor.peaks()
     out: Numbers = {"flops": flops, "bytes_per_s": bytes_per_s}

@@ -16,11 +16,11 @@ import torch
 from numba import njit
 from numpy.typing import NDArray
 
-from rtgs.camera import Camera
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
-from rtgs.render import reference
-from rtgs.render.settings import ALPHA_MAX, ALPHA_MIN, COVARIANCE_BLUR_PX2, TRANSMITTANCE_MIN, RenderSettings
+from rtgs.maths.geometry import SE3
+from rtgs.records.camera import Camera
+from rtgs.records.gaussians import Gaussians
+from rtgs.renderer import reference
+from rtgs.renderer.settings import ALPHA_MAX, ALPHA_MIN, COVARIANCE_BLUR_PX2, TRANSMITTANCE_MIN, RenderSettings
 
 # float32 operations a pixel–Gaussian pair, C channels. Forward: 4 for the exponent, the square completed along the row; 13 for 2^x as
 # a polynomial of degree 5; 3 comparisons; weight and transmittance 2; 2C to add the colour. Backward: the same 22 without the colour,

@@ -2,9 +2,9 @@
 
     python benchmarks/scale_ablation.py RUN [--splits 2]
 
-RUN is a run folder with an RGB model. Every choice of `rtgs bench synthetic --table ablation` finds the scale from all training frames, and
-from random disjoint halves of them: the further two halves are apart, the more of the answer is chance. What all frames have wrong
-alike does not show here; that is what the synthetic table is for.
+RUN is a run folder with an RGB model. Every choice of `rtgs experiment synthetic --table ablation` finds the scale from all training
+frames, and from random disjoint halves of them. The further two halves are apart, the more of the answer is chance. What all frames
+have wrong alike does not show here; that is what the synthetic table is for.
 
 Prints a Markdown table.
 """
@@ -15,10 +15,10 @@ import argparse
 import math
 from pathlib import Path
 
-from rtgs.baselines import OURS
-from rtgs.benchmarks.ablation import ABLATION
+from rtgs.experiments.ablation import ABLATION
+from rtgs.experiments.rivals import OURS
 from rtgs.io.capture import load_capture
-from rtgs.pipeline import RunFolder
+from rtgs.run.pipeline import RunFolder
 from scale_splits import halves, seen_by, told
 
 

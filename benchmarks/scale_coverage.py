@@ -24,12 +24,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgs.benchmarks.records import write_json
-from rtgs.benchmarks.scenery import Trial, prepare
-from rtgs.benchmarks.variants import Variant
-from rtgs.config import SCENES, RgbConfig, SceneName, SynthConfig, read_run_json
+from rtgs.base.json_records import read_run_json
+from rtgs.config import SCENES, RgbConfig, SceneName, SynthConfig
+from rtgs.experiments.records import write_json
+from rtgs.experiments.scenery import Trial, prepare
+from rtgs.experiments.variants import Variant
+from rtgs.records.scene import CalibrationStd, Scene
 from rtgs.scale import estimate_scale
-from rtgs.scene import CalibrationStd, Scene
 
 STD = CalibrationStd(baseline_length=0.005, baseline_direction=0.005, rotation_rad=math.radians(0.05), thermal_focal=0.003)
 

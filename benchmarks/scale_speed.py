@@ -19,8 +19,9 @@ import numpy as np
 
 from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
 from rtgs.io.capture import load_capture
-from rtgs.pipeline import RunFolder
-from rtgs.scale import Objective, adam, estimate_scale
+from rtgs.run.pipeline import RunFolder
+from rtgs.scale import Objective, estimate_scale
+from rtgs.scale.adam import adam
 
 STEPS, TIMED = 200, 3
 

@@ -20,9 +20,9 @@ import numpy as np
 
 from rtgs.config import ScaleConfig
 from rtgs.io.capture import load_capture
-from rtgs.pipeline import RunFolder
+from rtgs.records.scene import Frame, Scene
+from rtgs.run.pipeline import RunFolder
 from rtgs.scale import ScaleEstimate, estimate_scale
-from rtgs.scene import Frame, Scene
 
 
 def seen_by(scene: Scene, frames: list[Frame]) -> Scene:

@@ -12,8 +12,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from rtgs.benchmarks.scenery import Trial, prepare
 from rtgs.config import RgbConfig, SynthConfig
+from rtgs.experiments.scenery import Trial, prepare
 from rtgs.scale import estimate_scale
 
 UNITS = (1.0, 1e-4, 1e4)

@@ -17,7 +17,7 @@ import numba
 import torch
 from torch import Tensor
 
-from rtgs.ssim import C1, C2, reference_ssim, ssim, window_taps
+from rtgs.losses.ssim import C1, C2, reference_ssim, ssim, window_taps
 
 
 def full_window_ssim(a: Tensor, b: Tensor) -> Tensor:

@@ -26,15 +26,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rtgs.config import DensifyConfig, RgbConfig, RunConfig, SfmConfig, SynthConfig, ThermalConfig
-from rtgs.fit_rgb import fit_rgb
-from rtgs.fit_thermal import fit_thermal
 from rtgs.io.capture import load_capture
-from rtgs.metrics import mae, psnr
+from rtgs.metrics.basic import mae, psnr
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.pipeline import RunFolder
-from rtgs.scene import Frame, Scene
-from rtgs.sfm import run_sfm
+from rtgs.records.scene import Frame, Scene
+from rtgs.rgb.train import fit_rgb
+from rtgs.run.pipeline import RunFolder
+from rtgs.sfm.poses import run_sfm
 from rtgs.synthetic import SCENES, write_capture
+from rtgs.thermal import fit_thermal
 
 Images = Mapping[str, NDArray[np.float32]]
 

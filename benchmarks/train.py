@@ -35,7 +35,7 @@ import matplotlib.pyplot as plt
 
 from rtgs.config import QUALITIES, RgbConfig, ScaleConfig
 from rtgs.models import RgbModel
-from rtgs.render import RenderSettings
+from rtgs.renderer import RenderSettings
 
 TIMES_FOUR = "best, 4 × the steps"
 COLORS = dict(zip((*QUALITIES, TIMES_FOUR), ("#4c9f70", "#2f6db5", "#b5482f", "#999999"), strict=True))

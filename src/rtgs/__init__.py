@@ -11,9 +11,7 @@
 from __future__ import annotations
 
 import os
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -23,35 +21,53 @@ __version__ = "0.1.0"
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
-    from rtgs.camera import Camera
+    from rtgs.base.errors import RtgsError
     from rtgs.config import RgbConfig, ScaleConfig, SfmConfig, ThermalConfig
-    from rtgs.errors import RtgsError
-    from rtgs.evaluate import evaluate
-    from rtgs.fit_rgb import fit_rgb
-    from rtgs.fit_thermal import fit_thermal, gaussian_temperatures
-    from rtgs.gaussians import Gaussians
-    from rtgs.geometry import SE3, Sim3
+    from rtgs.evaluation.held_out import evaluate
     from rtgs.io.capture import load_capture
     from rtgs.io.ply import read_ply, write_ply
+    from rtgs.maths.geometry import SE3, Sim3
     from rtgs.models import RgbModel, ThermalModel
-    from rtgs.render import Direction, LinearRender, LinearViews, Render, RenderSettings, Tangents, render, render_with_tangents
+    from rtgs.records.camera import Camera
+    from rtgs.records.gaussians import Gaussians
+    from rtgs.records.scene import Capture, Frame, Rig, Scene
+    from rtgs.renderer import Direction, LinearRender, LinearViews, Render, RenderSettings, Tangents, render, render_with_tangents
+    from rtgs.rgb.train import fit_rgb
     from rtgs.scale import ScaleEstimate, estimate_scale
-    from rtgs.scene import Capture, Frame, Rig, Scene
-    from rtgs.sfm import run_sfm
+    from rtgs.sfm.poses import run_sfm
+    from rtgs.thermal import fit_thermal, gaussian_temperatures
 
 _WHERE = {
-    "camera": ("Camera",),
-    "config": ("RgbConfig", "ScaleConfig", "SfmConfig", "ThermalConfig"),
-    "errors": ("RtgsError",),
-    "evaluate": ("evaluate",),
-    "fit_rgb": ("fit_rgb",),
-    "fit_thermal": ("fit_thermal", "gaussian_temperatures"),
-    "gaussians": ("Gaussians",),
-    "geometry": ("SE3", "Sim3"),
+    "base.errors": ("RtgsError",),
+    "config": (
+        "RgbConfig",
+        "ScaleConfig",
+        "SfmConfig",
+        "ThermalConfig",
+    ),
+    "evaluation.held_out": ("evaluate",),
     "io.capture": ("load_capture",),
-    "io.ply": ("read_ply", "write_ply"),
-    "models": ("RgbModel", "ThermalModel"),
-    "render": (
+    "io.ply": (
+        "read_ply",
+        "write_ply",
+    ),
+    "maths.geometry": (
+        "SE3",
+        "Sim3",
+    ),
+    "models": (
+        "RgbModel",
+        "ThermalModel",
+    ),
+    "records.camera": ("Camera",),
+    "records.gaussians": ("Gaussians",),
+    "records.scene": (
+        "Capture",
+        "Frame",
+        "Rig",
+        "Scene",
+    ),
+    "renderer": (
         "Direction",
         "LinearRender",
         "LinearViews",
@@ -61,9 +77,16 @@ _WHERE = {
         "render",
         "render_with_tangents",
     ),
-    "scale": ("ScaleEstimate", "estimate_scale"),
-    "scene": ("Capture", "Frame", "Rig", "Scene"),
-    "sfm": ("run_sfm",),
+    "rgb.train": ("fit_rgb",),
+    "scale": (
+        "ScaleEstimate",
+        "estimate_scale",
+    ),
+    "sfm.poses": ("run_sfm",),
+    "thermal": (
+        "fit_thermal",
+        "gaussian_temperatures",
+    ),
 }
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 __all__ = [
@@ -114,15 +137,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
-
-
-class _FrontDoor(ModuleType):
-    """Some functions are called as their module is (`rtgs.render.render`). Importing such a module sets it as an attribute here, and
-    `rtgs.render(…)` would call a module; the function keeps the name instead."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _MODULE_OF and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _FrontDoor

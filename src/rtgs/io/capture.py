@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.camera import Camera, Undistortion
-from rtgs.errors import RtgsError
-from rtgs.geometry import SE3
+from rtgs.base.errors import RtgsError
 from rtgs.io.colmap import read_sparse
-from rtgs.io.images import ImageHeader, check_counts_mode, list_images, read_counts, read_header, read_rgb
+from rtgs.io.image_files import ImageHeader, check_counts_mode, list_images, read_counts, read_header, read_rgb
 from rtgs.io.rig import read_rig
 from rtgs.io.transforms import read_transforms
-from rtgs.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
-from rtgs.scene import Capture, Frame, Poses
+from rtgs.maths.geometry import SE3
+from rtgs.records.camera import Camera, Undistortion
+from rtgs.records.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
+from rtgs.records.scene import Capture, Frame, Poses
 
 MIN_FRAMES = 3
 _INTRINSICS_TOLERANCE = 0.01

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from rtgs.camera import DISTORTION_OF_MODEL, Camera
-from rtgs.errors import RtgsError
-from rtgs.geometry import SE3, quat_from_rotation, rotation_from_quat
-from rtgs.io.images import frame_name, in_thermal_folder
-from rtgs.scene import Capture, Poses, Scene, SparsePoints
+from rtgs.base.errors import RtgsError
+from rtgs.io.image_files import frame_name, in_thermal_folder
+from rtgs.maths.geometry import SE3, quat_from_rotation, rotation_from_quat
+from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
+from rtgs.records.scene import Capture, Poses, Scene, SparsePoints
 
 RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID, THERMAL_RIG_ID = 1, 2, 1, 2
 _FAILURES = "failures.json"

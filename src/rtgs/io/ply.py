@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
-from rtgs.errors import RtgsError
-from rtgs.gaussians import Gaussians
-from rtgs.sh import C0
+from rtgs.base.errors import RtgsError
+from rtgs.maths.sh import C0
+from rtgs.records.gaussians import Gaussians
 
 THERMAL_PROPERTIES = ("temperature", "temperature_std", "views")
 _THERMAL = "rtgs thermal"

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from rtgs.camera import DISTORTION_OF_MODEL, Camera
-from rtgs.errors import RtgsError
-from rtgs.geometry import SE3, is_rotation, nearest_rotation
-from rtgs.radiometry import (
+from rtgs.base.errors import RtgsError
+from rtgs.maths.geometry import SE3, is_rotation, nearest_rotation
+from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
+from rtgs.records.radiometry import (
     CENTIKELVIN,
     Atmosphere,
     CountsToCelsius,
@@ -23,7 +23,7 @@ from rtgs.radiometry import (
     PlanckRadiometry,
     Radiometry,
 )
-from rtgs.scene import CalibrationStd, Rig
+from rtgs.records.scene import CalibrationStd, Rig
 
 _SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
 _LENS_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from rtgs.camera import DISTORTION_OF_MODEL, Camera
-from rtgs.errors import RtgsError
-from rtgs.geometry import SE3
-from rtgs.io.images import frame_name, in_thermal_folder
+from rtgs.base.errors import RtgsError
+from rtgs.io.image_files import frame_name, in_thermal_folder
 from rtgs.io.rig import camera_from_json, finite_number, read_json_object, rigid_from_json
+from rtgs.maths.geometry import SE3
+from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
 
 _INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x", "camera_angle_y")
 _OPENGL_FROM_OPENCV = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from rtgs.camera import Camera
-from rtgs.errors import RtgsError
-from rtgs.gaussians import Gaussians
-from rtgs.render import RenderSettings, render
-from rtgs.scene import Frame, Scene
+from rtgs.base.errors import RtgsError
+from rtgs.records.camera import Camera
+from rtgs.records.gaussians import Gaussians
+from rtgs.records.scene import Frame, Scene
+from rtgs.renderer import RenderSettings, render
 
 _FRAMES = 12  # enough for a percentile
 _WIDTH = 160

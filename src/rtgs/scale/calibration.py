@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.geometry import SE3, rotation_from_axis_angle
+from rtgs.maths.geometry import SE3, rotation_from_axis_angle
+from rtgs.records.scene import CalibrationStd, Rig
 from rtgs.scale.objective import Objective
-from rtgs.scene import CalibrationStd, Rig
 
 Change = Callable[[Rig, float], Rig]
 

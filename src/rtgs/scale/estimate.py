@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtgs.base.errors import RtgsError
+from rtgs.base.progress import Progress
 from rtgs.config import PAPER_EPSILON, ScaleConfig
-from rtgs.errors import RtgsError
 from rtgs.models import RgbModel
-from rtgs.progress import Progress
+from rtgs.records.scene import Frame, Scene
 from rtgs.scale.adam import adam
 from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log
@@ -32,7 +33,6 @@ from rtgs.scale.search import (
     significance,
 )
 from rtgs.scale.unknowns import check_refinable
-from rtgs.scene import Frame, Scene
 
 _WIDEST = 0.5  # of the interval's half-width in ln s: beyond it a number would only mislead
 _FIRST_FRAMES = 16

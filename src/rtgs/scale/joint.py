@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
-from rtgs.render import Direction
+from rtgs.maths.geometry import SE3
+from rtgs.records.gaussians import Gaussians
+from rtgs.records.scene import Rig, Scene
+from rtgs.renderer import Direction
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter
 from rtgs.scale.unknowns import Unknown
-from rtgs.scene import Rig, Scene
 
 Vector = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rtgs.image import GRAY_WEIGHTS, SOBEL, downsample, downsample_mask, erode_for_sobel, sobel, to_gray
+from rtgs.images.filters import GRAY_WEIGHTS, SOBEL, downsample, downsample_mask, erode_for_sobel, sobel, to_gray
 from rtgs.models import RgbModel
-from rtgs.render import render
-from rtgs.scene import Frame, Scene
+from rtgs.records.scene import Frame, Scene
+from rtgs.renderer import render
 
 _LEAST = 1e-6  # of a picture without any gradient: the paper's ε
 

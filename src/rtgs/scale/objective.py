@@ -11,14 +11,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rtgs.camera import Camera
-from rtgs.gaussians import Gaussians
-from rtgs.geometry import SE3
-from rtgs.image import GRAY_WEIGHTS, SOBEL, blurred, downsample, downsample_mask, to_gray
-from rtgs.losses import NgfPyramid
-from rtgs.ngf import FusedNgf, Products
-from rtgs.render import Direction, RenderSettings, render, render_with_tangents
-from rtgs.scene import Frame, Rig, Scene
+from rtgs.images.filters import GRAY_WEIGHTS, SOBEL, blurred, downsample, downsample_mask, to_gray
+from rtgs.losses.ngf import NgfPyramid
+from rtgs.losses.ngf_fused import FusedNgf, Products
+from rtgs.maths.geometry import SE3
+from rtgs.records.camera import Camera
+from rtgs.records.gaussians import Gaussians
+from rtgs.records.scene import Frame, Rig, Scene
+from rtgs.renderer import Direction, RenderSettings, render, render_with_tangents
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.geometry import SE3
-from rtgs.scene import Rig, Scene
+from rtgs.maths.geometry import SE3
+from rtgs.records.scene import Rig, Scene
 
 Status = Literal["ok", "ambiguous", "unobservable"]
 

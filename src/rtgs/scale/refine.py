@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
 from rtgs.models import RgbModel
+from rtgs.records.scene import Frame, Scene
 from rtgs.scale.interval import LocalCurves, block_length, model_pixels, small_sample_factor
 from rtgs.scale.joint import Joint, Point, Vector
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter, Refinement, ScaleEstimate, Scan
 from rtgs.scale.search import Pictures, halvings, softness
 from rtgs.scale.unknowns import stated, unknowns
-from rtgs.scene import Frame, Scene
 
 _HESSIAN_PIXELS = 0.5
 _HESSIAN_FRAMES = 16

@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from rtgs.image import SOBEL
+from rtgs.images.filters import SOBEL
+from rtgs.images.patterns import sensor_pattern
 from rtgs.models import RgbModel
-from rtgs.render import render
+from rtgs.records.scene import Frame, Scene
+from rtgs.renderer import render
 from rtgs.scale.descend import Place, descend
 from rtgs.scale.noise import mean_gradients, model_error
 from rtgs.scale.objective import Objective, thermal_range
 from rtgs.scale.records import Counter, History
-from rtgs.scene import Frame, Scene
-from rtgs.sensor import sensor_pattern
 
 _COARSE_SIDE = 64  # pixels of the shorter side in the scan: the picture is halved while it keeps this many
 _SCAN_FRAMES = 10

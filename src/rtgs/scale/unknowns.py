@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtgs.errors import RtgsError
+from rtgs.base.errors import RtgsError
+from rtgs.records.scene import CalibrationStd, Frame, Rig, Scene
 from rtgs.scale.calibration import Change, freedoms
 from rtgs.scale.records import Freedom
-from rtgs.scene import CalibrationStd, Frame, Rig, Scene
 
 # Where rig.json does not say. A thermal calibration with a heated board reaches 0.1° and 1 % with care; a data sheet's focal length or a
 # baseline read off a drawing is worse. Free-running cameras whose nearest frames are paired differ by up to half an interval to either

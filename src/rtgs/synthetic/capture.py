@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from rtgs.camera import Camera
+from rtgs.base.errors import RtgsError
 from rtgs.config import SceneName, SynthConfig
-from rtgs.errors import RtgsError
-from rtgs.geometry import SE3, look_at, rotation_from_axis_angle
-from rtgs.scene import Rig
+from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
+from rtgs.records.camera import Camera
+from rtgs.records.scene import Rig
 from rtgs.synthetic.raycast import CompiledModel, render_rgb, render_thermal
 from rtgs.synthetic.scenes import build_scene
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtgs.geometry import rotation_from_axis_angle
+from rtgs.maths.geometry import rotation_from_axis_angle
 
 Floats = NDArray[np.float64]
 STEP_M = 0.05  # longest edge on flat faces

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.camera import Camera
-from rtgs.errors import RtgsError
-from rtgs.geometry import SE3, look_at
+from rtgs.base.errors import RtgsError
+from rtgs.maths.geometry import SE3, look_at
+from rtgs.records.camera import Camera
 from rtgs.synthetic.model import Light, Material, Model, Surface
 
 Floats = NDArray[np.float64]

@@ -1,8 +1,0 @@
-"""The paper's loss without its pyramid: Eq. 6 at full size."""
-
-from __future__ import annotations
-
-from rtgs.baselines.losses import Rival
-from rtgs.baselines.ngf_pyramid import Ngf
-
-NGF_SINGLE = Rival("ngf_single", "NGF single scale", lambda thermal, mask: Ngf(thermal, mask, level_weights=(1.0,)))

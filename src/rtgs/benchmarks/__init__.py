@@ -1,1 +1,0 @@
-"""The tables behind `rtgs bench`."""

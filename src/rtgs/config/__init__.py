@@ -1,0 +1,40 @@
+"""Every setting of every stage, with its default: one file a stage.
+
+Nothing heavy is imported here, so that the command line can show all settings before it loads torch.
+"""
+
+from rtgs.config.experiments import (
+    SYNTHETIC_TABLES,
+    ManualConfig,
+    RealExperimentConfig,
+    SyntheticExperimentConfig,
+    SyntheticTable,
+)
+from rtgs.config.rgb import QUALITIES, DensifyConfig, Quality, RgbConfig
+from rtgs.config.run import RunConfig
+from rtgs.config.scale import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, REFINABLE, ScaleConfig
+from rtgs.config.sfm import SfmConfig
+from rtgs.config.synthetic import SCENES, SceneName, SynthConfig
+from rtgs.config.thermal import ThermalConfig
+
+__all__ = [
+    "PAPER_EPSILON",
+    "PAPER_LEVEL_WEIGHTS",
+    "QUALITIES",
+    "REFINABLE",
+    "SCENES",
+    "SYNTHETIC_TABLES",
+    "DensifyConfig",
+    "ManualConfig",
+    "Quality",
+    "RealExperimentConfig",
+    "RgbConfig",
+    "RunConfig",
+    "ScaleConfig",
+    "SceneName",
+    "SfmConfig",
+    "SynthConfig",
+    "SyntheticExperimentConfig",
+    "SyntheticTable",
+    "ThermalConfig",
+]

@@ -1,0 +1,90 @@
+"""Settings of the RGB model's training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+from rtgs.base.errors import RtgsError
+
+Quality = Literal["fast", "default", "best"]
+QUALITIES: tuple[Quality, ...] = get_args(Quality)
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """When and how far the model grows."""
+
+    max_gaussians: int | None = None
+    """The budget; None: one for `pixels_each` pixels of an image or one a sparse point, from 10 000 to 150 000."""
+    pixels_each: float | None = None
+    """Pixels of an image for each Gaussian of the budget; None: by the quality."""
+    every: int = 100
+    """Steps between two rounds."""
+    start: float = 0.05
+    """First round, as a share of all steps."""
+    stop: float = 0.65
+    """Last round, as a share of all steps; the rest only refines."""
+    split_size: float = 0.01
+    """A Gaussian larger than this share of the scene's extent is split, a smaller one cloned."""
+    prune_opacity: float = 0.005
+    """A Gaussian fainter than this is removed."""
+
+
+@dataclass(frozen=True)
+class RgbConfig:
+    """Training of the RGB model."""
+
+    quality: Quality = "default"
+    """"fast" gives an anchor for the scale in a minute or two, "best" what more time can still gain; fills in what is left open."""
+    steps: int | None = None
+    """Optimisation steps, one image each; None: by the quality."""
+    sh_degree: int | None = None
+    """Highest spherical-harmonics band, up to 3; None: by the quality. Bands are switched on in turn over the first half."""
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    """How the model grows."""
+    ssim_weight: float = 0.2
+    """Loss = ℓ1 + this · (1 − SSIM)."""
+    coarse_to_fine: tuple[tuple[float, int], ...] = ((0.2, 4), (0.55, 2))
+    """(until this share of the steps, image reduced by this factor); full size afterwards."""
+    background: Literal["learned", "black", "white"] = "learned"
+    """What shows where nothing is: one colour, fitted or fixed."""
+    antialiased: bool = False
+    """Compensate opacity for the pixel-size blur, so that the model looks alike at other resolutions."""
+    exposure: bool = False
+    """Fit a gain and an offset per training frame and channel (not used for held-out frames)."""
+    random_points: int = 20_000
+    """How many random points to start from when the scene has no sparse points."""
+    seed: int = 0
+    """Order of the frames, random points and splits."""
+
+    def resolved(self) -> RgbConfig:
+        """The same with the numbers of its quality where they were left open."""
+        preset = _PRESETS[self.quality]
+        densify = self.densify
+        if densify.pixels_each is None:
+            densify = replace(densify, pixels_each=preset.pixels_each)
+        steps = preset.steps if self.steps is None else self.steps
+        sh_degree = preset.sh_degree if self.sh_degree is None else self.sh_degree
+        return replace(self, steps=steps, sh_degree=sh_degree, densify=densify)
+
+    def __post_init__(self) -> None:
+        if self.quality not in QUALITIES:
+            raise RtgsError(f"rgb.quality is {self.quality!r}; it is {', '.join(QUALITIES)}.")
+        if self.steps is not None and self.steps < 1:
+            raise RtgsError(f"rgb.steps is {self.steps}; it is above 0.")
+
+
+@dataclass(frozen=True)
+class _Preset:
+    steps: int
+    sh_degree: int
+    pixels_each: float
+
+
+# What two cores do in a minute, in minutes, and where more steps gain little; `benchmarks/train.py` measures them.
+_PRESETS: dict[Quality, _Preset] = {
+    "fast": _Preset(steps=1500, sh_degree=1, pixels_each=8.0),
+    "default": _Preset(steps=7000, sh_degree=2, pixels_each=4.0),
+    "best": _Preset(steps=10_000, sh_degree=3, pixels_each=4.0),
+}

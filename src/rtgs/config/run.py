@@ -1,0 +1,29 @@
+"""Settings of a run: those of its stages, nested."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rtgs.config.rgb import RgbConfig
+from rtgs.config.scale import ScaleConfig
+from rtgs.config.sfm import SfmConfig
+from rtgs.config.thermal import ThermalConfig
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Settings of a run, stage by stage."""
+
+    rgb_max_side: int = 960
+    """RGB images are reduced to this many pixels on their longer side."""
+    rgb_ply: Path | None = None
+    """A trained 3DGS model in the same world frame, to use instead of training one."""
+    sfm: SfmConfig = field(default_factory=SfmConfig)
+    """Structure from motion, where the capture has no poses or no points."""
+    rgb: RgbConfig = field(default_factory=RgbConfig)
+    """The RGB model."""
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    """The metric scale."""
+    thermal: ThermalConfig = field(default_factory=ThermalConfig)
+    """The thermal model."""

@@ -1,0 +1,52 @@
+"""Settings of the metric scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rtgs.base.errors import RtgsError
+
+PAPER_EPSILON = 1e-6
+PAPER_LEVEL_WEIGHTS = (1.0, 0.5, 0.25)  # w_l = 0.5^l, level 0 the finest, as printed
+
+REFINABLE = ("rotation", "baseline-direction", "focal", "time-offset")
+
+
+@dataclass(frozen=True)
+class ScaleConfig:
+    """How the scale is found: by a search over all scales, or by the paper's Adam."""
+
+    solver: Literal["global", "adam"] = "global"
+    """"global" scans all scales the images can tell apart and refines by Gauss–Newton, in seconds; "adam" is the paper's."""
+    init: float | None = None
+    """Start of `sfm_per_metre`; None: the minimum of a scan of the loss over all scales the images can tell apart."""
+    steps: int = 200
+    """Adam steps."""
+    learning_rate: float = 5e-3
+    """Adam's learning rate, in ln s."""
+    batch: int | None = None
+    """Adam: frames per step, drawn at random; None: all."""
+    level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS
+    """Pyramid weights, finest level first; one number gives the single-scale loss."""
+    epsilon: float | None = None
+    """ε of the normalised gradient, images in [0, 1]; None: measured at each level (docs/scale.md), and the paper's 1e-6 for Adam."""
+    scan_samples: int = 64
+    """Adam: log-spaced scales in the scan."""
+    half_width: float = 0.001
+    """Global: frames are added until half the 95 % interval is narrower than this, in ln s, or all are used."""
+    max_frames: int = 64
+    """Of more training frames than this, as many evenly spaced ones are used."""
+    refine: tuple[str, ...] = ()
+    """What of the calibration is refined with the scale: rotation, baseline-direction, focal, time-offset; each is held by its standard
+    deviation in rig.json, or a default (docs/scale.md)."""
+    seed: int = 0
+    """Order of mini-batches, and the bootstrap."""
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("global", "adam"):
+            raise RtgsError(f"scale.solver is {self.solver!r}; it is global or adam.")
+        names = {name for part in self.refine for name in part.split(",")} - {""}  # "a,b" is as good as "a b"
+        if unknown := sorted(names - set(REFINABLE)):
+            raise RtgsError(f"scale.refine names {unknown[0]!r}; there are {', '.join(REFINABLE)}.")
+        object.__setattr__(self, "refine", tuple(name for name in REFINABLE if name in names))

@@ -1,0 +1,1 @@
+"""Stage: scores on held-out views."""

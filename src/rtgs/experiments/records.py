@@ -1,0 +1,89 @@
+"""What a bench leaves in its folder: one small file a trial, row and method, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import read_run_json
+
+
+@dataclass(frozen=True)
+class Record:
+    """One method on one row of one trial.
+
+    Attributes:
+        start: s0 of the descents. found: ŝ.
+        error_pct: 100 · |ŝ/s − 1|. product_error_pct: 100 · |ŝ·|t̂| / (s·|t|) − 1|: what the images know, the rig's length error apart.
+        iterations: steps until s stays within 0.5 % of the last one (descents), or scales tried while refining (ours).
+        renders: pictures drawn. seconds: of one core; of a descent, its renders times what one costs with its loss.
+        half_width_pct: half of the 95 % interval, where there is one. status: "ok", or what the method says of itself.
+    """
+
+    scene: str
+    seed: int
+    variant: str
+    method: str
+    truth: float
+    start: float
+    found: float
+    error_pct: float
+    product_error_pct: float
+    iterations: int
+    renders: int
+    seconds: float
+    half_width_pct: float | None = None
+    status: str = "ok"
+
+
+class ExperimentFolder:
+    """Scenes, records, tables and figures of one bench.
+
+    Raises:
+        RtgsError: it holds results of other settings, or something else.
+    """
+
+    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+        self.path = Path(path)
+        written = self.path / "settings.json"
+        if written.exists():
+            if read_run_json(written) != settings:
+                raise RtgsError(f"{self.path}: holds results of other settings ({written.name}); name another folder.")
+        elif self.path.is_dir() and any(self.path.iterdir()):
+            raise RtgsError(f"{self.path}: holds something other than a bench; name a new or empty folder.")
+        for folder in (self.path, self.path / "records", self.path / "scenes"):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_json(written, settings)
+
+    def scene(self, name: str) -> Path:
+        return self.path / "scenes" / name
+
+    def record_path(self, scene: str, seed: int, variant: str, method: str) -> Path:
+        return self.path / "records" / f"{scene}.{seed}.{variant}.{method}.json"
+
+    def has(self, scene: str, seed: int, variant: str, method: str) -> bool:
+        return self.record_path(scene, seed, variant, method).exists()
+
+    def write(self, record: Record) -> None:
+        write_json(self.record_path(record.scene, record.seed, record.variant, record.method), asdict(record))
+
+    def records(self) -> list[Record]:
+        """All there are, by file name."""
+        known = {f.name for f in fields(Record)}
+        found = []
+        for path in sorted((self.path / "records").glob("*.json")):
+            data = read_run_json(path)
+            if not isinstance(data, dict) or set(data) - known:
+                raise RtgsError(f"{path}: is no record of this version; remove it to have it made again.")
+            found.append(Record(**data))
+        return found
+
+
+def write_json(path: Path, data: Any) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    temporary.replace(path)

@@ -1,0 +1,105 @@
+"""Scenes and trials: one RGB model a scene; a rig, its noise and a start a trial."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtgs.base.json_records import read_run_json
+from rtgs.config import RgbConfig, SfmConfig, SynthConfig
+from rtgs.experiments.records import write_json
+from rtgs.experiments.variants import Variant
+from rtgs.io.capture import load_capture
+from rtgs.models import RgbModel
+from rtgs.records.scene import Scene
+from rtgs.rgb.train import fit_rgb
+from rtgs.run.pipeline import RunFolder
+from rtgs.sfm.poses import run_sfm
+from rtgs.synthetic import compiled_scene, render_thermal, write_capture
+from rtgs.synthetic.capture import (
+    CELSIUS_OFFSET,
+    CELSIUS_PER_COUNT,
+    camera_path,
+    contrast_gains,
+    frame_names,
+    noise_rng,
+    record_thermal,
+    sfm_per_metre_of,
+    true_rig,
+    written_rig,
+)
+
+_START = (0.5, 2.0)  # s0 over the truth
+
+
+def prepare(folder: Path, config: SynthConfig, rgb: RgbConfig) -> None:
+    """Render a scene's photographs, triangulate points and train its RGB model, where that is still to do."""
+    done = folder / "scene.json"
+    if done.exists():
+        return
+    run = RunFolder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_capture(folder / "capture", config)
+    scene = run_sfm(load_capture(folder / "capture"), SfmConfig())
+    run.write_scene(scene, None)
+    model = fit_rgb(scene, rgb)
+    run.write_rgb(model)
+    scores = model.history["held_out_psnr"]
+    write_json(done, {"psnr_db": scores[-1], "gaussians": len(model.gaussians), "points": len(scene.points)})
+
+
+def scene_facts(folder: Path) -> dict[str, float]:
+    """Of a prepared scene: "psnr_db" (held out), "gaussians", "points"."""
+    return read_run_json(folder / "scene.json")
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A scene with its RGB model, seen by the rig of one seed.
+
+    Attributes:
+        config: of its capture, without a row's changes.
+        truth: `sfm_per_metre`. start: s0.
+    """
+
+    base: Scene
+    model: RgbModel
+    config: SynthConfig
+    truth: float
+    start: float
+
+    @staticmethod
+    def read(folder: Path, config: SynthConfig, seed: int) -> Trial:
+        """From what `prepare` left in the folder."""
+        run = RunFolder(folder)
+        base = run.read_scene(load_capture(folder / "capture"))
+        drawn = np.random.default_rng([seed, zlib.crc32(f"{config.scene}/start".encode())]).uniform(*_START)
+        truth = sfm_per_metre_of(config)
+        return Trial(base, run.read_rgb(), replace(config, rig_seed=seed), truth, truth * float(drawn))
+
+    def temperatures(self, thermal_size: int | None) -> list[NDArray[np.float32]]:
+        """°C in every frame's true thermal view, without blur, noise or gain."""
+        config = replace(self.config, thermal_size=thermal_size)
+        model, rig = compiled_scene(config.scene), true_rig(config)
+        poses = camera_path(config, model.model.centre)
+        return [render_thermal(model, rig.thermal, pose @ rig.rgb_from_thermal, config.supersampling) for pose in poses]
+
+    def scene(self, variant: Variant, clean: list[NDArray[np.float32]]) -> Scene:
+        """The scene as a row has it: what the sensor recorded, and the rig that is told."""
+        config, capture = variant.capture(self.config), self.base.capture
+        rig = written_rig(config, true_rig(config))
+        frames = []
+        for i, (gain, name) in enumerate(zip(contrast_gains(config), frame_names(config), strict=True)):
+            counts = record_thermal(clean[i], config, float(gain), noise_rng(config, i))
+            image = (counts * CELSIUS_PER_COUNT + CELSIUS_OFFSET).astype(np.float32)
+            if variant.inverted:
+                image = -image
+            frames.append(replace(capture.frames[i], thermal=image))
+            assert capture.frames[i].name == name
+        mask = np.ones((rig.thermal.height, rig.thermal.width), bool)
+        rig = replace(rig, rgb=capture.rig.rgb)
+        return replace(self.base, capture=replace(capture, raw_rig=rig, rig=rig, frames=tuple(frames), thermal_mask=mask))

@@ -1,0 +1,217 @@
+"""Tables of a bench: statistics of its records as Markdown and CSV, and the figures beside them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from rtgs.config import SyntheticExperimentConfig
+from rtgs.experiments.ablation import ABLATION
+from rtgs.experiments.figures import draw_errors
+from rtgs.experiments.records import ExperimentFolder, Record
+from rtgs.experiments.rivals import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
+from rtgs.experiments.scenery import scene_facts
+from rtgs.experiments.variants import FAR, FAR_SCENE, REFERENCE, ROWS, Variant
+from rtgs.records.scene import HELD_OUT_EVERY
+
+SUCCESS_PCT = 2.0
+RUN = f"{MUTUAL_INFORMATION.key}_run"  # Adam that renders at every step, to check a replay
+_OTHERS = (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key)  # whom the other tables show
+TITLES = {**{r.key: r.title for r in RIVALS}, **{own.key: own.title for own in (OURS, OURS_REFINED)}}
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Of one method's errors on a row; errors in per cent, the last three are medians (NaN where they mean nothing)."""
+
+    method: str
+    trials: int
+    median_pct: float
+    p90_pct: float
+    success_pct: float
+    iterations: float
+    renders: float
+    seconds: float
+
+    @staticmethod
+    def of(method: str, records: Sequence[Record], *, product: bool = False) -> Summary:
+        """Of records, of which there is at least one. product: of s·|t| instead of s."""
+        errors = np.array([r.product_error_pct if product else r.error_pct for r in records])
+        return Summary(
+            method,
+            len(records),
+            float(np.median(errors)),
+            float(np.percentile(errors, 90)),
+            100 * float(np.mean(errors <= SUCCESS_PCT)),
+            float(np.median([r.iterations for r in records])),
+            float(np.median([r.renders for r in records])),
+            float(np.median([r.seconds for r in records])),
+        )
+
+    @staticmethod
+    def of_starts(records: Sequence[Record]) -> Summary:
+        """Of the starts themselves."""
+        errors = np.array([100 * abs(r.start / r.truth - 1) for r in records])
+        success = 100 * float(np.mean(errors <= SUCCESS_PCT))
+        nothing = (math.nan, math.nan, math.nan)
+        return Summary("init", len(records), float(np.median(errors)), float(np.percentile(errors, 90)), success, *nothing)
+
+
+def write_tables(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> list[Path]:
+    """Markdown, CSV and figures of the tables asked for, from the records that are there."""
+    records = [r for r in folder.records() if r.scene in (*config.scenes, FAR_SCENE) and r.seed < config.seeds]
+    written = [_write_csv(folder.path / "trials.csv", Record, records)]
+    for table in config.tables:
+        if table == "1":
+            text, summaries = table_1(records, config)
+            text += "\n" + scene_table(folder, config)
+            written.append(_write_csv(folder.path / "table1.csv", Summary, summaries))
+            written += draw_errors(folder.path, [r for r in records if r.variant == REFERENCE and r.method in TITLES], TITLES)
+        elif table == "ablation":
+            text = ablation_table(records, config)
+        else:
+            rows = (*ROWS[table], FAR) if table == "beyond" else ROWS[table]
+            here = [r for r in records if r.variant in {row.key for row in rows} and r.method in _OTHERS]
+            title = "Table II: sensitivity" if table == "2" else "Beyond the paper"
+            text = rows_table(here, rows, f"{title}{_where(here, config)}")
+        path = folder.path / f"table_{table}.md"
+        _write_text(path, text)
+        written.append(path)
+    return written
+
+
+def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tuple[str, list[Summary]]:
+    """Markdown and its rows."""
+    here = [r for r in records if r.variant == REFERENCE]
+    groups = {key: [r for r in here if r.method == key] for key in TITLES}
+    most = max(groups.values(), key=len)
+    summaries = [Summary.of_starts(most)] if most else []
+    summaries += [Summary.of(key, found) for key, found in groups.items() if found]
+    lines = [f"### Table I: scale recovery{_where(here, config)}", ""]
+    lines += ["| method | trials | Med % | P90 % | SR@2 % | iterations | renders | seconds, one core |", "|---|" + "---:|" * 7]
+    for s in summaries:
+        counts = ["–"] * 3 if math.isnan(s.renders) else [f"{s.iterations:.0f}", f"{s.renders:,.0f}", f"{s.seconds:.1f}"]
+        title = TITLES.get(s.method, "Init")
+        lines.append(
+            f"| {title} | {s.trials} | {s.median_pct:.2f} | {s.p90_pct:.2f} | {s.success_pct:.0f} | " + " | ".join(counts) + " |"
+        )
+    lines += ["", *_comparison(groups), *_checks(here)]
+    return "\n".join(lines) + "\n", summaries
+
+
+def rows_table(records: Sequence[Record], rows: Sequence[Variant], title: str) -> str:
+    """Med % / SR@2 % for each row and method."""
+    methods = [key for key in _OTHERS if any(r.method == key for r in records)]
+    lines = [f"### {title}", "", "Med % / SR@2 %, of s; in brackets Med % of s·|t|, where the rig's length is off.", ""]
+    lines += [
+        "| perturbation | level | " + " | ".join(TITLES.get(m, m) for m in methods) + " |",
+        "|---|---|" + "---:|" * len(methods),
+    ]
+    for row in rows:
+        cells = []
+        for method in methods:
+            found = [r for r in records if r.variant == row.key and r.method == method]
+            if not found:
+                cells.append("–")
+                continue
+            own = Summary.of(method, found)
+            cell = f"{own.median_pct:.2f} / {own.success_pct:.0f}"
+            if row.length_factor != 1.0:
+                cell += f" ({Summary.of(method, found, product=True).median_pct:.2f})"
+            verdicts = [r.status for r in found if r.status != "ok"]
+            cells.append(cell + (f"; {len(verdicts)} of {len(found)} {verdicts[0]}" if verdicts else ""))
+        lines.append(f"| {row.title} | {row.level} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def ablation_table(records: Sequence[Record], config: SyntheticExperimentConfig) -> str:
+    """The search as it is, and with one setting changed."""
+    methods = (OURS, *ABLATION)
+    here = [r for r in records if r.variant == REFERENCE and r.method in {m.key for m in methods}]
+    lines = [f"### Ablation of the search{_where(here, config)}", ""]
+    lines += [
+        "| changed | Med % | P90 % | worst % | SR@2 % | half-width % | renders | seconds, one core |",
+        "|---|" + "---:|" * 7,
+    ]
+    for method in methods:
+        found = [r for r in here if r.method == method.key]
+        if found:
+            own = Summary.of(method.key, found)
+            widths = [r.half_width_pct for r in found if r.half_width_pct is not None]
+            width = f"{np.median(widths):.2f}" if widths else "–"
+            worst = max(r.error_pct for r in found)
+            lines.append(
+                f"| {'nothing' if method is OURS else method.title} | {own.median_pct:.3f} | {own.p90_pct:.3f} | {worst:.3f} "
+                f"| {own.success_pct:.0f} | {width} | {own.renders:,.0f} | {own.seconds:.1f} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def scene_table(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> str:
+    """The RGB models."""
+    lines = ["| scene | points | Gaussians | RGB held out, dB |", "|---|---:|---:|---:|"]
+    for name in config.scenes:
+        facts = scene_facts(folder.scene(name))
+        lines.append(f"| {name} | {facts['points']:,} | {facts['gaussians']:,} | {facts['psnr_db']:.2f} |")
+    return "\n".join(lines) + "\n"
+
+
+def _where(records: Sequence[Record], config: SyntheticExperimentConfig) -> str:
+    trials = {(r.scene, r.seed) for r in records if r.scene != FAR_SCENE}
+    scenes, seeds = len({scene for scene, _ in trials}), len({seed for _, seed in trials})
+    training = config.frames - len(range(0, config.frames, HELD_OUT_EVERY))
+    return f" at {config.size} × {config.size}, {config.frames} pairs of which {training} for training, " + (
+        f"{scenes} scenes × {seeds} seeds" if len(trials) == scenes * seeds else f"{len(trials)} trials on {scenes} scenes"
+    )
+
+
+def _comparison(groups: dict[str, list[Record]]) -> list[str]:
+    """By how much this method is worse than the paper's where it is worst, and its intervals."""
+    text = []
+    paper = {(r.scene, r.seed): r.error_pct for r in groups[NGF_PYRAMID.key]}
+    paired = [(r.error_pct - paper[r.scene, r.seed], r) for r in groups[OURS.key] if (r.scene, r.seed) in paper]
+    if paired:
+        excess, worst = max(paired, key=lambda pair: pair[0])
+        where = f"{worst.scene}, seed {worst.seed}: {worst.error_pct:.2f} %"
+        text.append(f"Ours less the paper's Adam on the same {len(paired)} trials: at most {excess:+.2f} points ({where}).")
+    known = [(abs(math.log(r.found / r.truth)) * 100, r.half_width_pct) for r in groups[OURS.key] if r.half_width_pct is not None]
+    if known:
+        inside, width = sum(error <= half for error, half in known), np.median([half for _, half in known])
+        text.append(f"Its 95 % interval: median half-width {width:.2f} %, the truth inside in {inside} of {len(known)}.")
+    return [" ".join(text), ""] if text else []
+
+
+def _checks(records: Sequence[Record]) -> list[str]:
+    """Replays beside runs that rendered at every step."""
+    replayed = {(r.scene, r.seed): r for r in records if r.method == MUTUAL_INFORMATION.key}
+    runs = [(r, replayed[r.scene, r.seed]) for r in records if r.method == RUN and (r.scene, r.seed) in replayed]
+    if not runs:
+        return []
+    apart = max(100 * abs(run.found - replay.found) / run.truth for run, replay in runs)
+    seconds = np.median([run.seconds for run, _ in runs])
+    return [
+        f"Descents on NGF render at every step; the others are replayed on curves rendered once. {len(runs)} of those on mutual "
+        f"information were also run at every step ({seconds:.0f} s of one core each): at most {apart:.3f} points of s apart.",
+        "",
+    ]
+
+
+def _write_csv(path: Path, kind: type, rows: Iterable[object]) -> Path:
+    part = path.with_name(f".{path.name}.tmp")
+    with part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(kind)])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)  # type: ignore[call-overload]
+    part.replace(path)
+    return path
+
+
+def _write_text(path: Path, text: str) -> None:
+    part = path.with_name(f".{path.name}.tmp")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)

@@ -1,0 +1,1 @@
+"""Filters, pictures for people, and patterns that a sensor draws."""

@@ -1,0 +1,1 @@
+"""Cameras whose files can be imported: one module a maker."""

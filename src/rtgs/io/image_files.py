@@ -1,0 +1,156 @@
+"""Image files: headers, decoding, names.
+
+The only place that decodes a capture's images. EXIF orientation is applied here, so that width, height and pixels agree
+everywhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
+
+from rtgs.base.errors import RtgsError
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+_ORIENTATION_TAG = 0x0112
+_COUNT_MODES = ("L", "I", "I;16", "I;16B", "I;16L", "I;16N", "F")
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a file says before it is decoded.
+
+    Attributes:
+        path: the file.
+        width, height: as shown, EXIF orientation applied.
+        mode: Pillow's name of the pixel format.
+        orientation: the EXIF value, 1 when absent.
+    """
+
+    path: Path
+    width: int
+    height: int
+    mode: str
+    orientation: int
+
+
+def frame_name(file_name: str) -> str:
+    """A frame's name from the way a pose file names its image: no folder, no image suffix.
+
+    Only image suffixes are dropped, so `a/10.5` and `./rgb/10.5.jpg` are both `10.5`.
+    """
+    name = PurePosixPath(file_name.replace("\\", "/")).name
+    suffix = PurePosixPath(name).suffix
+    return name[: -len(suffix)] if suffix.lower() in IMAGE_SUFFIXES else name
+
+
+def in_thermal_folder(file_name: str) -> bool:
+    """Whether a pose file's image is thermal, by its folders: RGB poses are read, the rig gives the others."""
+    folders = PurePosixPath(file_name.replace("\\", "/")).parts[:-1]
+    return "thermal" in folders and "rgb" not in folders
+
+
+def list_images(folder: Path) -> dict[str, Path]:
+    """Image files of a folder by frame name, in name order; hidden files and other suffixes are passed over.
+
+    Raises:
+        RtgsError: the folder is missing, or two files share a stem.
+    """
+    if not folder.is_dir():
+        raise RtgsError(f"{folder}: no such folder. A capture holds rgb/, thermal/ and rig.json.")
+    files: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith("."):
+            continue
+        name = frame_name(path.name)
+        if name in files:
+            raise RtgsError(
+                f"{folder}: {files[name].name} and {path.name} share the stem {name!r}, and a stem names one instant. Remove one."
+            )
+        files[name] = path
+    return dict(sorted(files.items()))
+
+
+def read_header(path: Path) -> ImageHeader:
+    """Read size, mode and orientation without decoding pixels.
+
+    Raises:
+        RtgsError: the file isn't a readable image.
+    """
+    try:
+        with Image.open(path) as image:
+            orientation = int(image.getexif().get(_ORIENTATION_TAG, 1) or 1)
+            width, height = image.size
+            mode = image.mode
+    except (OSError, SyntaxError, ValueError) as error:
+        raise _unreadable(path, error) from error
+    if orientation in (5, 6, 7, 8):
+        width, height = height, width
+    return ImageHeader(path, width, height, mode, orientation)
+
+
+def read_rgb(path: Path) -> NDArray[np.float32]:
+    """Decode a colour image upright: `[H, W, 3]` float32 in [0, 1]; grey images get three equal channels.
+
+    Raises:
+        RtgsError: the file is unreadable or truncated.
+    """
+    image = _decode(path)
+    if image.mode == "F":
+        raise RtgsError(
+            f"{path}: is a floating-point image, where RGB in 8 or 16 bits is expected. Are rgb/ and thermal/ swapped?"
+        )
+    if image.mode.startswith("I"):  # 16-bit grey, under the several names Pillow has for it
+        grey = np.asarray(image, dtype=np.float32) / 65535.0
+        return np.repeat(grey[..., None], 3, axis=2)
+    return np.asarray(image.convert("RGB"), dtype=np.float32) / 255.0
+
+
+def read_counts(path: Path) -> NDArray[np.generic]:
+    """Decode a thermal image upright: `[h, w]`, as stored (8 or 16 bit, 32-bit integer or float).
+
+    Raises:
+        RtgsError: unreadable or truncated, in colour, or not finite.
+    """
+    check_counts_mode(read_header(path))
+    counts = np.asarray(_decode(path))
+    if not np.isfinite(counts).all():
+        raise RtgsError(f"{path}: holds NaN or infinite pixels. Export the thermal image again, or remove this pair.")
+    return counts
+
+
+def check_counts_mode(header: ImageHeader) -> None:
+    """Refuse a thermal image in colour.
+
+    Raises:
+        RtgsError: the pixel format isn't one number a pixel.
+    """
+    if header.mode not in _COUNT_MODES:
+        raise RtgsError(
+            f"{header.path}: is a colour image ({header.mode}), a picture of temperatures that cannot be turned back into them. "
+            "Export the radiometric data as single-channel 16-bit TIFF or PNG."
+        )
+
+
+def write_upright(path: Path, target: Path) -> None:
+    """Write a copy with the EXIF orientation applied to the pixels (lossless where `target` is PNG)."""
+    _decode(path).save(target)
+
+
+def _decode(path: Path) -> Image.Image:
+    try:
+        with Image.open(path) as image:
+            image.load()
+            return ImageOps.exif_transpose(image)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> RtgsError:
+    # Pillow's own message often repeats the path; it is cut to one line that names the cause.
+    cause = "not an image that can be identified" if "cannot identify" in str(error) else str(error)
+    return RtgsError(f"{path}: cannot be read ({cause}). Copy or export the file again, or remove this pair.")

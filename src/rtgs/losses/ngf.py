@@ -1,0 +1,144 @@
+"""The Normalized Gradient Field loss of the paper (Eqs. 5–7).
+
+After Haber and Modersitzki (2006): two images agree where their gradients are parallel *or* anti-parallel, so a contrast that inverts
+between the modalities costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
+from rtgs.images.filters import SOBEL, downsample, downsample_mask, erode_for_sobel, sobel
+
+LEAST_STRENGTH = 1e-6
+"""Of a render's edges in the loss per edge: one without any costs 1, as in Eq. 6."""
+
+
+def normalized_gradient(image: Tensor, epsilon: float = PAPER_EPSILON, across: tuple[float, float] = SOBEL) -> Tensor:
+    """Eq. 5: ∇I / √(‖∇I‖² + ε²) of `[H, W]`, as `[2, H − 2, W − 2]`; `across` as in `image.sobel`."""
+    gx, gy = sobel(image, across)
+    # hypot-free: ε² underflows float32 only below 1e-19, far under any ε in use.
+    inverse = torch.rsqrt(gx * gx + gy * gy + epsilon * epsilon)
+    return torch.stack([gx * inverse, gy * inverse])
+
+
+def ngf_loss(a: Tensor, b: Tensor, *, epsilon: float = PAPER_EPSILON, mask: Tensor | None = None) -> Tensor:
+    """Eq. 6: mean of 1 − (n_A · n_B)² over the pixels that have a Sobel gradient.
+
+    Args:
+        a, b: `[H, W]`.
+        mask: `[H, W]` bool; a pixel counts when its whole 3×3 neighbourhood is valid.
+
+    Returns:
+        A scalar in [0, 1]: 0 where every gradient is parallel or anti-parallel, exactly 1 when either image is featureless.
+    """
+    target = _Level.of(b, epsilon, torch.ones_like(b, dtype=torch.bool) if mask is None else mask)
+    return target.loss(normalized_gradient(a, epsilon), per_edge=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    gradient: Tensor  # [2, h, w], zero outside the mask
+    valid: Tensor  # [h, w] bool
+    pixels: int
+
+    @staticmethod
+    def of(image: Tensor, epsilon: float, mask: Tensor, across: tuple[float, float] = SOBEL) -> _Level:
+        valid = erode_for_sobel(mask)
+        gradient = normalized_gradient(image, epsilon, across)
+        return _Level(torch.where(valid, gradient, torch.zeros_like(gradient)), valid, int(valid.sum()))  # not a product: NaN · 0
+
+    def loss(self, gradient: Tensor, per_edge: bool) -> Tensor:
+        # A pixel outside the mask contributes 0 to the sum and is not counted.
+        dot = (gradient * self.gradient).sum(0)
+        agreement = dot.square().sum() / max(self.pixels, 1)
+        return 1.0 - (agreement / self.strength(gradient) if per_edge else agreement)
+
+    def strength(self, gradient: Tensor) -> Tensor:
+        """Root mean square of ‖n_A‖ over the valid pixels."""
+        square = gradient.square().sum(0)[self.valid].sum()
+        return (square / max(self.pixels, 1)).clamp_min(LEAST_STRENGTH**2).sqrt()
+
+
+@dataclass(frozen=True, eq=False)
+class NgfPyramid:
+    """Eq. 7 against one fixed image, whose gradients are computed once.
+
+    Build with `NgfPyramid.of`; call with a render `[H, W]`.
+    """
+
+    levels: tuple[_Level, ...]
+    level_weights: tuple[float, ...]
+    render_epsilons: tuple[float, ...]
+    per_edge: bool = False
+    across: tuple[float, float] = SOBEL
+
+    @staticmethod
+    def of(
+        image: Tensor,
+        mask: Tensor | None = None,
+        *,
+        level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS,
+        epsilon: float | tuple[float, ...] = PAPER_EPSILON,
+        render_epsilon: float | tuple[float, ...] | None = None,
+        per_edge: bool = False,
+        across: tuple[float, float] = SOBEL,
+    ) -> NgfPyramid:
+        """Prepare the target.
+
+        Args:
+            image: `[H, W]`.
+            mask: `[H, W]` bool, pixels where the loss counts. It belongs to the image, so it does not follow the scale.
+            level_weights: w_l, level 0 the finest; one level makes the single-scale loss.
+            epsilon: ε of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the image's.
+            per_edge: ℓ = 1 − mean (n_A · n_B)² / rms ‖n_A‖. With an ε as large as edges are, Eq. 6 falls wherever the render has more
+                or stronger edges, as it has from nearer by; over their own strength they have to agree for it.
+            across: as in `image.sobel`.
+        """
+        if mask is None:
+            mask = torch.ones_like(image, dtype=torch.bool)
+        count = len(level_weights)
+        own = (epsilon,) * count if isinstance(epsilon, float) else epsilon
+        other = (
+            own if render_epsilon is None else (render_epsilon,) * count if isinstance(render_epsilon, float) else render_epsilon
+        )
+        levels = tuple(_Level.of(downsample(image, 2**l), own[l], downsample_mask(mask, 2**l), across) for l in range(count))
+        return NgfPyramid(levels, level_weights, other, per_edge, across)
+
+    def to(self, dtype: torch.dtype) -> NgfPyramid:
+        """The same target in another floating type."""
+        levels = tuple(replace(level, gradient=level.gradient.to(dtype)) for level in self.levels)
+        return replace(self, levels=levels)
+
+    def __call__(self, render: Tensor) -> Tensor:
+        """Σ_l w_l ℓ_NGF(D_l A, D_l B) / Σ_l w_l for a render A `[H, W]`."""
+        total = torch.zeros((), dtype=render.dtype)
+        for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
+            gradient = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l], self.across)
+            total = total + weight * level.loss(gradient, self.per_edge)
+        return total / sum(self.level_weights)
+
+    def residuals(self, render: Tensor) -> Tensor:
+        """`[M]`: the vector whose squared norm is Eq. 7; what Gauss–Newton works on.
+
+        Two numbers a pixel and level, n_A × n_B and √(1 − ‖n_A‖²‖n_B‖²): their squares sum to 1 − (n_A · n_B)² (Lagrange's identity).
+        The cross product alone would be zero for a blank render. Per edge, a level's are over the root of its rms ‖n_A‖, which counts
+        as constant: their squared norm is no longer the loss, their Gauss–Newton matrix still its curvature where edges stay what they are.
+        """
+        parts = []
+        for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
+            n, m = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l], self.across), level.gradient
+            share = math.sqrt(weight / sum(self.level_weights) / max(level.pixels, 1))
+            scale = level.strength(n).detach().rsqrt() if self.per_edge else 1.0
+            if not level.pixels:  # costs 1 whatever the render
+                parts.append(torch.full((1,), share, dtype=render.dtype))
+                continue
+            cross = (n[0] * m[1] - n[1] * m[0])[level.valid]
+            rest = (1.0 - n.square().sum(0) * m.square().sum(0))[level.valid].clamp_min(0.0)
+            parts += [share * scale * cross, share * scale * rest.sqrt()]
+        return torch.cat(parts)

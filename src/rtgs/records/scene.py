@@ -1,0 +1,211 @@
+"""The records that the stages hand on: Rig, Frame, Capture, Scene.
+
+Everything here is in memory; `rtgs.io` reads and writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtgs.maths.geometry import SE3, axis_angle_from_rotation, rotation_from_axis_angle
+from rtgs.records.camera import Camera
+from rtgs.records.radiometry import PlanckRadiometry
+
+HELD_OUT_EVERY = 8  # frames 0, 8, 16, … in name order
+
+
+@dataclass(frozen=True)
+class CalibrationStd:
+    """How well a rig is calibrated: standard deviations, zero for what is taken as exact.
+
+    Attributes:
+        baseline_length: of |t|, relative. baseline_direction: of the baseline's tip to either side, relative to |t|.
+        rotation_rad: of the rig's rotation, about each axis.
+        thermal_focal: of the thermal focal length, relative.
+    """
+
+    baseline_length: float = 0.0
+    baseline_direction: float = 0.0
+    rotation_rad: float = 0.0
+    thermal_focal: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Two cameras fixed to each other.
+
+    Attributes:
+        rgb, thermal: intrinsics.
+        rgb_from_thermal: translation in metres.
+        calibration_std: None when nobody says.
+        time_offset: how long after the RGB camera the thermal one fires, in intervals between frames.
+    """
+
+    rgb: Camera
+    thermal: Camera
+    rgb_from_thermal: SE3
+    calibration_std: CalibrationStd | None = None
+    time_offset: float = 0.0
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the two optical centres, in metres."""
+        return float(np.linalg.norm(self.rgb_from_thermal.translation))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One instant: a synchronised, undistorted pair.
+
+    Attributes:
+        name: common stem of both files.
+        rgb: `[H, W, 3]` float32 in [0, 1].
+        thermal: `[h, w]` float32, °C (or counts, where `Capture.thermal_unit` is "relative").
+    """
+
+    name: str
+    rgb: NDArray[np.float32]
+    thermal: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class SparsePoints:
+    """SfM points in the world frame: `xyz` `[P, 3]` float64, `rgb` `[P, 3]` float32 in [0, 1]."""
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """RGB poses that came with a capture: `world_from_rgb` by frame name, and the points, where the source has them."""
+
+    world_from_rgb: Mapping[str, SE3]
+    points: SparsePoints | None
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A capture folder, validated and undistorted.
+
+    Attributes:
+        root: the folder.
+        raw_rig: cameras as calibrated, lens included, at the files' resolution (SfM reads the files).
+        rig: pinhole cameras of the images in `frames`.
+        frames: in name order; all of them, registered or not.
+        rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill.
+        thermal_unit: "celsius", or "relative" when the rig file gives no radiometry.
+        planck: how °C came out of the sensor's signal, where `rig.json` has Planck constants.
+        poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
+        warnings: what a person should know and can live with.
+    """
+
+    root: Path
+    raw_rig: Rig
+    rig: Rig
+    frames: tuple[Frame, ...]
+    rgb_mask: NDArray[np.bool_]
+    thermal_mask: NDArray[np.bool_]
+    thermal_unit: Literal["celsius", "relative"]
+    poses: Poses | None
+    warnings: tuple[str, ...] = ()
+    planck: PlanckRadiometry | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A capture with RGB poses: what every later stage starts from.
+
+    Attributes:
+        capture: images, masks, rig.
+        world_from_rgb: pose by name, of the frames that were registered. The world and its unit are SfM's.
+        points: sparse points, possibly none.
+        failures: name → reason, of the frames that were not.
+    """
+
+    capture: Capture
+    world_from_rgb: Mapping[str, SE3]
+    points: SparsePoints
+    failures: Mapping[str, str]
+
+    @property
+    def rig(self) -> Rig:
+        return self.capture.rig
+
+    @cached_property
+    def frames(self) -> tuple[Frame, ...]:
+        """Registered frames in name order."""
+        return tuple(f for f in self.capture.frames if f.name in self.world_from_rgb)
+
+    @cached_property
+    def _held_out_names(self) -> frozenset[str]:
+        return frozenset(f.name for f in self.capture.frames[::HELD_OUT_EVERY])
+
+    @cached_property
+    def train_frames(self) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.name not in self._held_out_names)
+
+    @cached_property
+    def held_out_frames(self) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.name in self._held_out_names)
+
+    def rgb_from_world(self, name: str) -> SE3:
+        return self.world_from_rgb[name].inverse()
+
+    @cached_property
+    def _order(self) -> dict[str, int]:
+        return {f.name: i for i, f in enumerate(self.capture.frames)}
+
+    def neighbours(self, name: str) -> tuple[SE3 | None, SE3 | None]:
+        """The RGB poses of the frames just before and after, in name order; None where there is none, or not registered."""
+        at, frames = self._order[name], self.capture.frames
+        before = self.world_from_rgb.get(frames[at - 1].name) if at > 0 else None
+        after = self.world_from_rgb.get(frames[at + 1].name) if at + 1 < len(frames) else None
+        return before, after
+
+    def world_from_rgb_at_thermal(self, name: str) -> SE3:
+        """Where the RGB camera stands when a frame's thermal picture is taken: `rig.time_offset` frame intervals later.
+
+        The position runs on the parabola through the neighbours, and so does the rotation vector from this frame's; at an end, or
+        beside a frame that was not registered, on a straight line. Where both neighbours are missing the camera is taken to stand.
+        """
+        pose, offset = self.world_from_rgb[name], self.rig.time_offset
+        if offset == 0.0:
+            return pose
+        before, after = self.neighbours(name)
+        forth = None if after is None else _motion(pose, after)
+        back = None if before is None else -_motion(pose, before)
+        if forth is None and back is None:
+            return pose
+        forth, back = back if forth is None else forth, forth if back is None else back
+        assert forth is not None and back is not None
+        turn, shift = np.split(offset * (forth + back) / 2 + offset**2 * (forth - back) / 2, 2)
+        return SE3(pose.rotation @ rotation_from_axis_angle(turn), pose.translation + shift)
+
+    def world_from_thermal(self, name: str, sfm_per_metre: float) -> SE3:
+        """Eq. 1: `world_from_rgb ∘ (R, s·t)`, with the RGB camera where it stands when the thermal one fires."""
+        return self.world_from_rgb_at_thermal(name) @ self.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre)
+
+    def thermal_from_world(self, name: str, sfm_per_metre: float) -> SE3:
+        return self.world_from_thermal(name, sfm_per_metre).inverse()
+
+    @cached_property
+    def extent(self) -> float:
+        """Radius of the camera positions about their mean, × 1.1: the unit of 3DGS's position learning rate."""
+        centres = np.stack([p.translation for p in self.world_from_rgb.values()])
+        return float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()) * 1.1
+
+
+def _motion(here: SE3, there: SE3) -> NDArray[np.float64]:
+    """`[6]`: rotation vector in the camera's own frame, and shift in the world."""
+    return np.concatenate([axis_angle_from_rotation(here.rotation.T @ there.rotation), there.translation - here.translation])

@@ -1,0 +1,1 @@
+"""Stage: RGB poses and sparse points."""

@@ -1,0 +1,41 @@
+"""Stage 3: give the frozen geometry a temperature."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtgs.base.errors import RtgsError
+from rtgs.base.progress import Progress
+from rtgs.config import ThermalConfig
+from rtgs.models import RgbModel, ThermalModel
+from rtgs.records.scene import Scene
+from rtgs.thermal.adam import fit_adam
+from rtgs.thermal.certainty import gaussian_temperatures
+from rtgs.thermal.frames import training_range
+from rtgs.thermal.linear import fit_linear
+
+__all__ = ["fit_thermal", "gaussian_temperatures", "training_range"]
+
+
+def fit_thermal(
+    scene: Scene,
+    rgb_model: RgbModel,
+    sfm_per_metre: float,
+    config: ThermalConfig | None = None,
+    *,
+    progress: Progress | None = None,
+) -> ThermalModel:
+    """Clone the RGB model, replace its colours by one-channel spherical harmonics, and fit those to the training thermal images.
+
+    Means, shapes, opacities and poses stay as they are; only the harmonics and one background value move (the paper's
+    geometry-frozen protocol), by linear least squares or by the paper's Adam.
+
+    Raises:
+        RtgsError: no training frame, or a scale that is no positive number.
+    """
+    config = config or ThermalConfig()
+    if not scene.train_frames:
+        raise RtgsError("fit_thermal: the scene has no training frame (every registered frame is held out).")
+    if not (np.isfinite(sfm_per_metre) and sfm_per_metre > 0):
+        raise RtgsError(f"fit_thermal: sfm_per_metre is {sfm_per_metre}; it is a positive number.")
+    return {"linear": fit_linear, "adam": fit_adam}[config.solver](scene, rgb_model, sfm_per_metre, config, progress)

@@ -1,0 +1,65 @@
+"""The photographs a thermal fit is given: normalised, masked, each with its pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rtgs.maths.geometry import SE3
+from rtgs.records.radiometry import LinearRange, PlanckRange, ThermalRange
+from rtgs.records.scene import Frame, Scene
+
+RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
+
+
+def training_range(scene: Scene) -> LinearRange:
+    """The capture's fixed range: 0.1–99.9 percentile of the valid pixels of the training thermal images."""
+    mask = scene.capture.thermal_mask
+    values = np.concatenate([f.thermal[mask] for f in scene.train_frames])
+    lo, hi = (float(v) for v in np.percentile(values, [RANGE_PERCENTILE, 100.0 - RANGE_PERCENTILE]))
+    return LinearRange(lo, hi if hi > lo else lo + 1.0)
+
+
+def color_range(scene: Scene) -> ThermalRange:
+    """What the fitted colours are in: `training_range`, taken in radiance where the capture has Planck constants."""
+    span = training_range(scene)
+    return span if scene.capture.planck is None else PlanckRange.of(scene.capture.planck.calibration, span)
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalFrames:
+    """What the linear fit looks at.
+
+    Attributes:
+        names: of the frames.
+        images: `[h, w]` each, in units of the colours; 0 where not valid.
+        valid: `[h, w]`, how many pixels one stands for, 0 where it does not count; the same for all frames.
+        poses: camera_from_world of the thermal camera.
+    """
+
+    names: tuple[str, ...]
+    images: tuple[Tensor, ...]
+    valid: Tensor
+    poses: tuple[SE3, ...]
+
+    @staticmethod
+    def of(scene: Scene, frames: Sequence[Frame], sfm_per_metre: float, span: ThermalRange) -> ThermalFrames:
+        mask = scene.capture.thermal_mask
+        return ThermalFrames(
+            tuple(f.name for f in frames),
+            tuple(torch.from_numpy(span.normalise(np.where(mask, f.thermal, span.lo))) for f in frames),
+            torch.from_numpy(mask.astype(np.float32)),
+            tuple(scene.thermal_from_world(f.name, sfm_per_metre) for f in frames),
+        )
+
+    def rows(self, every: int) -> ThermalFrames:
+        """Only rows `every // 2 :: every` of the images, each counting as so many; as `Camera.rows`."""
+        some = slice(every // 2, None, every)
+        return replace(self, images=tuple(i[some].contiguous() for i in self.images), valid=every * self.valid[some])
+
+    def __len__(self) -> int:
+        return len(self.names)

@@ -1,0 +1,181 @@
+"""Huber's loss in place of squares, by nonlinear conjugate gradients: for pixels that the geometry gets wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+
+import numba as nb
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rtgs.maths.planes import Planes, add_each
+from rtgs.thermal.design import Design
+from rtgs.thermal.least_squares import Problem, dot, picture_of, planes_of, ratio
+
+SMALLEST_BOUND = 1e-4  # of the range: a start that fits exactly says nothing of how large errors are
+
+
+@dataclass(frozen=True, eq=False)
+class RobustSolution:
+    """`x` `[D, C]`, and what it leaves of the photographs."""
+
+    x: Tensor
+    _misfits: Mapping[int, _Misfit]
+
+    def shown(self, frame: int) -> Tensor:
+        """`[h, w, C]`: design · x of one of the problem's frames."""
+        return self._misfits[frame].shown()
+
+    def weights(self, frame: int) -> Tensor:
+        """`[h, w, C]`: the problem's, times Huber's."""
+        return self._misfits[frame].weights()
+
+
+def solve_robustly(
+    problem: Problem,
+    start: Tensor,
+    *,
+    huber: float,
+    iterations: int,
+    shown: Sequence[Tensor],
+    settled: Callable[[Tensor], bool] = lambda x: False,
+    each: Callable[[], None] = lambda: None,
+) -> RobustSolution:
+    """From `start` `[D, 1 or C]`; as `solve`, but that a residual counts by its square up to `huber` times the root mean square of all at
+    the start, and beyond by its size.
+
+    Each step is as long as suits the quadratic that touches the loss where the step begins and is nowhere below it (that of reweighted
+    least squares): no step raises the loss. Directions are Polak and Ribière's.
+
+    Args:
+        problem: without a surface. Its weights are multiplied by Huber's.
+        shown: `[h, w, 1 or C]`, design · start of each of the problem's frames.
+        iterations, settled, each: as of `solve`.
+    """
+    if problem.surface is not None:
+        raise ValueError("solve_robustly: a common surface is for `solve`.")
+    design, columns = problem.design, problem.ridge.shape[1]
+    misfits = {f: _Misfit(problem, f, image, columns) for f, image in zip(problem.frames, shown, strict=True)}
+    total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((columns, 3))).T
+    for misfit in misfits.values():
+        misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(SMALLEST_BOUND).astype(np.float32)
+    x = start.expand(-1, columns).clone()
+    r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(columns, dtype=torch.float64)
+    for _ in range(iterations):
+        before, r = r, problem.ridge * (problem.prior - x)
+        design.add_transpose(lambda f: misfits[f].weighted(), problem.frames, r, each)
+        z = problem.precondition(r)
+        p = z + ratio(dot(r - before, z).clamp_min(0.0), rz).float() * p
+        rz, curvature = dot(r, z), dot(p, problem.ridge * p)
+        with closing(design.each(partial(_curvature, misfits, design, p), problem.frames)) as parts:
+            for of_frame in parts:
+                curvature += of_frame
+        step = ratio(dot(r, p), curvature).float()
+        x += step * p
+        for misfit in misfits.values():
+            misfit.go(step.numpy())
+        if settled(x) or bool((rz == 0).all()):
+            break
+    return RobustSolution(x, misfits)
+
+
+def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
+    return misfits[frame].curvature(planes_of(design.image(frame, p)))
+
+
+class _Misfit:
+    """What C problems side by side leave of a photograph, and how it counts.
+
+    Attributes:
+        left: `[C, h · w]`, photograph less design · x.
+        bound: `[C]`, beyond which less counts.
+        level: `[C]`, the offset by which the weights are told; 0 where a problem has none.
+    """
+
+    def __init__(self, problem: Problem, frame: int, shown: Tensor, columns: int) -> None:
+        self._photograph = problem.images[frame]
+        self._shape, self._given = shown.shape[:2], problem.weights[frame].numpy().ravel()
+        left = planes_of(self._photograph - shown)
+        self.left = left if len(left) == columns else np.repeat(left, columns, axis=0)
+        nothing = np.zeros(columns, np.float32)
+        self._offsets = nothing if problem.offsets is None else problem.offsets.numpy()
+        self.bound, self.level = np.full(columns, 1e30, np.float32), nothing
+        self.level = _mean(self.left, self._given, nothing, self.bound, self._offsets)
+        self._centre, self._move, self._step, self._shift = self.level, self.left, nothing, nothing
+
+    def moments(self, values: Planes) -> NDArray[np.float64]:
+        """`[C, 3]`: Σ weights · (1, v, v²) of values `[C, h · w]`."""
+        return np.asarray(_moments(self.left, self._given, self.level, self.bound, values))
+
+    def weighted(self) -> Tensor:
+        """`[h, w, C]`: new weights times what is left, the offset that suits them best taken out."""
+        out = np.empty_like(self.left)
+        step, self._step = self._step, np.zeros_like(self._step)
+        self.level = self._centre
+        self._centre = _weigh(self.left, step, self._move, self._given, self.level, self.bound, self._offsets, out)
+        return picture_of(out, self._shape)
+
+    def curvature(self, move: Planes) -> Tensor:
+        """`[C]`: Σ weights · move², less what the offset takes of it; remembers the move, `[C, h · w]`."""
+        self._move = move
+        total, first, second = self.moments(move).T
+        shift = self._offsets * first / total.clip(1e-12)
+        self._shift = shift.astype(np.float32)
+        return torch.from_numpy(second - shift * first)
+
+    def go(self, step: Planes) -> None:
+        """The remembered move, so far, when next asked what is left; the offset that suits goes with it."""
+        self._step, self._centre = step, self._centre - step * self._shift
+
+    def shown(self) -> Tensor:
+        return self._photograph - picture_of(self._now(), self._shape)
+
+    def weights(self) -> Tensor:
+        away = np.abs(self._now() - self._centre[:, None])
+        return picture_of(self._given * (self.bound[:, None] / np.maximum(away, self.bound[:, None])), self._shape)
+
+    def _now(self) -> Planes:
+        return self.left - self._step[:, None] * self._move
+
+
+@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+def _moments(left: Planes, given: Planes, level: Planes, bound: Planes, values: Planes) -> NDArray[np.float64]:
+    out = np.empty((len(left), 3))
+    for c in range(len(left)):
+        total, first, second = np.float32(0), np.float32(0), np.float32(0)
+        for i in range(left.shape[1]):
+            w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
+            total += w
+            first += w * values[c, i]
+            second += w * values[c, i] * values[c, i]
+        out[c] = total, first, second
+    return out
+
+
+@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+def _mean(left: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes) -> Planes:
+    """`[C]`: the weighted mean of what is left, where a problem has offsets."""
+    out = np.zeros(len(left), np.float32)
+    if offsets.any():
+        for c, (total, first, _) in enumerate(_moments(left, given, level, bound, left)):
+            out[c] = offsets[c] * first / max(total, 1e-12)
+    return out
+
+
+@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+def _weigh(
+    left: Planes, step: Planes, move: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes, out: Planes
+) -> Planes:
+    """left -= step · move, and out = weights · (left less its mean). Returns the mean."""
+    add_each(left, -step, move)
+    centre = _mean(left, given, level, bound, offsets)
+    for c in range(len(left)):
+        for i in range(left.shape[1]):
+            w = given[i] * (bound[c] / max(abs(left[c, i] - level[c]), bound[c]))
+            out[c, i] = w * (left[c, i] - centre[c])
+    return centre
