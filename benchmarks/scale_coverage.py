@@ -24,9 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgs.base.json_records import read_run_json
+from rtgs.base.json_records import read_run_json, write_json
 from rtgs.config import SCENES, RgbConfig, SceneName, SynthConfig
-from rtgs.experiments.records import write_json
 from rtgs.experiments.scenery import Trial, prepare
 from rtgs.experiments.variants import Variant
 from rtgs.records.scene import CalibrationStd, Scene

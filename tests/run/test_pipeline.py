@@ -387,7 +387,7 @@ def test_a_run_killed_while_training_resumes_to_the_same_result(
 
 
 def test_killed_while_the_scene_is_replaced(run: Path) -> None:
-    (run / "scene").rename(run / "scene.old.tmp")
+    (run / "scene").rename(run / ".scene.old.tmp")
     assert all_stand(run) and (run / "scene").is_dir()
 
 

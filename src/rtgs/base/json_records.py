@@ -1,4 +1,4 @@
-"""The way of records and settings to JSON and back."""
+"""Records and settings as JSON, and back with their types checked: the one codec of every JSON file that this package writes."""
 
 from __future__ import annotations
 
@@ -6,61 +6,110 @@ import dataclasses
 import json
 import types
 import typing
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
 
+import numpy as np
+
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_text_whole
 
 T = TypeVar("T")
 
 
-def to_json(config: Any) -> Any:
-    """Nested dataclasses, paths and tuples as what JSON has."""
-    if dataclasses.is_dataclass(config) and not isinstance(config, type):
-        return {f.name: to_json(getattr(config, f.name)) for f in dataclasses.fields(config)}
-    if isinstance(config, tuple | list):
-        return [to_json(v) for v in config]
-    return str(config) if isinstance(config, Path) else config
+def to_json(value: Any) -> Any:
+    """A record, mapping, sequence, array or path as what JSON has."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): to_json(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, tuple | list):
+        return [to_json(v) for v in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def from_json(cls: type[T], data: Any, where: str) -> T:
-    """The inverse of `to_json`; settings that the file does not name keep their defaults.
+    """The inverse of `to_json` for a dataclass. Fields that the file does not name keep their defaults.
+
+    Fields may be dataclasses, tuples, lists, sequences, mappings from text, unions with None, literals, paths, numbers and text.
 
     Args:
         where: the file, for messages.
 
     Raises:
-        RtgsError: a setting this version does not know, or a value of another type.
+        RtgsError: a field that this version does not know, one without a default that is missing, or a value of another type.
     """
-    hints = typing.get_type_hints(cls)
     if not isinstance(data, dict):
-        raise RtgsError(f"{where}: {cls.__name__} is {data!r}; an object of settings is expected.")
-    unknown = set(data) - set(hints)
+        raise RtgsError(f"{where}: {cls.__name__} is {data!r:.100}; a JSON object is expected.")
+    hints = typing.get_type_hints(cls)
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    unknown = sorted(set(data) - set(fields))
     if unknown:
-        raise RtgsError(f"{where}: unknown setting {sorted(unknown)[0]!r} of {cls.__name__}; it was written by another version.")
+        raise RtgsError(f"{where}: unknown field {unknown[0]!r} of {cls.__name__}; it was written by another version.")
     values = {}
     for name, value in data.items():
         try:
             values[name] = _value(hints[name], value, where)
         except (TypeError, ValueError):
-            raise RtgsError(f"{where}: setting {name!r} of {cls.__name__} is {value!r}, which it cannot be.") from None
+            raise RtgsError(f"{where}: field {name!r} of {cls.__name__} is {value!r:.100}, which it cannot be.") from None
+    missing = [n for n, f in fields.items() if n not in values and f.default is f.default_factory is dataclasses.MISSING]
+    if missing:
+        raise RtgsError(f"{where}: field {missing[0]!r} of {cls.__name__} is missing; it was written by another version.")
     return cls(**values)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return value
     if origin in (Union, types.UnionType):
-        return None if value is None else _value(next(a for a in arguments if a is not type(None)), value, where)
+        if value is None and type(None) in arguments:
+            return None
+        return _value(next(a for a in arguments if a is not type(None)), value, where)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return from_json(hint, value, where)
     if origin is tuple:
         inner = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
-        return tuple(_value(a, v, where) for a, v in zip(inner, value, strict=True))
+        return tuple(_value(a, v, where) for a, v in zip(inner, _list(value), strict=True))
+    if origin is not None and origin is not Literal and issubclass(origin, Mapping):
+        if not isinstance(value, dict):
+            raise TypeError
+        return {k: _value(arguments[1], v, where) for k, v in value.items()}
+    if origin is not None and origin is not Literal and issubclass(origin, Sequence):
+        return [_value(arguments[0], v, where) for v in _list(value)]
     if hint is float and type(value) is int:
         return float(value)
     if (value not in arguments) if origin is Literal else (type(value) is not (str if hint is Path else hint)):
         raise TypeError
     return Path(value) if hint is Path else value
+
+
+def _list(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError
+    return value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """A record (or what `to_json` takes) as a JSON file, whole or not at all.
+
+    Raises:
+        ValueError: a number that JSON does not have (NaN, infinity).
+    """
+    text = json.dumps(to_json(value), indent=1, ensure_ascii=False, allow_nan=False)
+    write_text_whole(path, text + "\n")
+
+
+def read_record(cls: type[T], path: Path) -> T:
+    """A record from its JSON file.
+
+    Raises:
+        RtgsError: the file is missing, no JSON, or not of this record.
+    """
+    return from_json(cls, read_run_json(path), str(path))
 
 
 def read_run_json(path: Path) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rtgs.base.files import write_whole
 from rtgs.experiments.records import Record
 
 _LEAST_PCT = 1e-3  # drawn there what is below
@@ -30,9 +31,8 @@ def draw_errors(folder: Path, records: Sequence[Record], titles: Mapping[str, st
                     draw(axes, found, title, f"C{k}")
             axes.legend(fontsize="small")
             axes.grid(alpha=0.3)
-            part = folder / f".{name}.tmp"
-            figure.savefig(part, format="svg", metadata={"Date": None})
-        part.replace(path)
+            with write_whole(path) as part:
+                figure.savefig(part, format="svg", metadata={"Date": None})
         written.append(path)
     return written
 

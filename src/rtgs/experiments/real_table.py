@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_text_whole, write_whole
 from rtgs.base.progress import Progress
 from rtgs.config import RealExperimentConfig
 from rtgs.images.pictures import Picture, error_map, palette, save_png, side_by_side, to_picture, with_colour_bar
@@ -64,7 +64,9 @@ class Row:
             names=np.array(list(self.images)),
             images=np.stack(list(self.images.values())),
         )
-        write_whole(path, memory.getvalue())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with write_whole(path) as temporary:
+            temporary.write_bytes(memory.getvalue())
 
     @staticmethod
     def read(path: Path, title: str, fingerprint: str) -> Row | None:
@@ -194,9 +196,10 @@ def write_results(
     per_frame = [["row", "frame", *(n for n in names if not n.startswith("region"))]]
     for key, frames in scored.frames.items():
         per_frame += [[key, name, *(f"{v:.6g}" for v in values.values())] for name, values in frames.items()]
+    out.mkdir(parents=True, exist_ok=True)
     files = [out / "table3.csv", out / "table3.md", out / "frames.csv"]
     for path, data in zip(files, (_csv(table), text, _csv(per_frame)), strict=True):
-        write_whole(path, data.encode())
+        write_text_whole(path, data)
     ran = [row for row in rows if row.images]
     mask = common_mask(scene, rows)
     for done, frame in enumerate(scene.held_out_frames):
@@ -241,11 +244,3 @@ def _csv(table: Sequence[Sequence[str]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(table)
     return text.getvalue()
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """`path` appears whole or not at all; its folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(data)
-    temporary.replace(path)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import read_run_json
+from rtgs.base.json_records import read_run_json, write_json
 
 
 @dataclass(frozen=True)
@@ -81,9 +79,3 @@ class ExperimentFolder:
                 raise RtgsError(f"{path}: is no record of this version; remove it to have it made again.")
             found.append(Record(**data))
         return found
-
-
-def write_json(path: Path, data: Any) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    temporary.replace(path)

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.base.json_records import read_run_json
+from rtgs.base.json_records import read_run_json, write_json
 from rtgs.config import RgbConfig, SfmConfig, SynthConfig
-from rtgs.experiments.records import write_json
 from rtgs.experiments.variants import Variant
 from rtgs.io.capture import load_capture
 from rtgs.models import RgbModel

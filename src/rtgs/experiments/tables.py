@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtgs.base.files import write_text_whole, write_whole
 from rtgs.config import SyntheticExperimentConfig
 from rtgs.experiments.ablation import ABLATION
 from rtgs.experiments.figures import draw_errors
@@ -80,7 +81,7 @@ def write_tables(folder: ExperimentFolder, config: SyntheticExperimentConfig) ->
             title = "Table II: sensitivity" if table == "2" else "Beyond the paper"
             text = rows_table(here, rows, f"{title}{_where(here, config)}")
         path = folder.path / f"table_{table}.md"
-        _write_text(path, text)
+        write_text_whole(path, text)
         written.append(path)
     return written
 
@@ -202,16 +203,8 @@ def _checks(records: Sequence[Record]) -> list[str]:
 
 
 def _write_csv(path: Path, kind: type, rows: Iterable[object]) -> Path:
-    part = path.with_name(f".{path.name}.tmp")
-    with part.open("w", encoding="utf-8", newline="") as file:
+    with write_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, [f.name for f in fields(kind)])
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)  # type: ignore[call-overload]
-    part.replace(path)
     return path
-
-
-def _write_text(path: Path, text: str) -> None:
-    part = path.with_name(f".{path.name}.tmp")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)

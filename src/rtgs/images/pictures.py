@@ -5,7 +5,6 @@ Every picture is uint8 `[H, W, 3]` RGB. These are for screens only; nothing is e
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +14,8 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+
+from rtgs.base.files import write_whole
 
 Picture = NDArray[np.uint8]
 
@@ -153,12 +154,8 @@ def save_png(path: Path, picture: Picture) -> None:
     """Write uint8 `[H, W]` or `[H, W, 3]`; `path` appears whole or not at all. Its folder is made."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with write_whole(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _edges(image: NDArray, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -10,7 +10,6 @@ and comments from which reading takes it back to exactly one channel.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_whole
 from rtgs.maths.sh import C0
 from rtgs.records.gaussians import Gaussians
 
@@ -96,14 +96,11 @@ def write_ply(
     for name, column in columns.items():
         vertices[name] = column
     ply = PlyData([PlyElement.describe(vertices, "vertex")], text=False, byte_order="<", comments=comments)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        ply.write(str(temporary))
-        temporary.replace(path)
+        with write_whole(path) as temporary:
+            ply.write(str(temporary))
     except OSError as error:
         raise RtgsError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read_ply(path: Path) -> Gaussians:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_whole
 from rtgs.base.progress import Progress
 from rtgs.config import RgbConfig
 from rtgs.io.ply import read_ply
@@ -320,9 +321,8 @@ class _Training:
             "frames": self.frame_optimizer.state(),
             "gradients": (self.gradients.total, self.gradients.count),
         }
-        temporary = path.with_suffix(".tmp")
-        torch.save(state, temporary)
-        temporary.replace(path)
+        with write_whole(path) as temporary:
+            torch.save(state, temporary)
 
     def restore(self, path: Path) -> None:
         try:

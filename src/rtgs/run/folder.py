@@ -15,7 +15,8 @@ from PIL import Image
 
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import read_run_json, to_json
+from rtgs.base.files import recover, write_whole
+from rtgs.base.json_records import read_run_json, to_json, write_json
 from rtgs.config import RunConfig
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.image_files import IMAGE_SUFFIXES
@@ -85,9 +86,7 @@ class RunFolder:
 
     def standing(self) -> dict[str, dict[str, Any]]:
         """Stage → {"fingerprint", "seconds"}, or {"begun": fingerprint} where it was cut off."""
-        old, final = self.path / "scene.old.tmp", self.path / "scene"
-        if old.exists() and not final.exists():
-            old.rename(final)  # killed between the two renames of `write_scene`
+        recover(self.path / "scene")
         path = self.path / "stages.json"
         return self.read_json(path.name) if path.exists() else {}
 
@@ -124,14 +123,8 @@ class RunFolder:
     # Artefacts
 
     def write_scene(self, scene: Scene, sfm_per_metre: float | None) -> None:
-        temporary, final, old = self.path / "scene.tmp", self.path / "scene", self.path / "scene.old.tmp"
-        shutil.rmtree(temporary, ignore_errors=True)
-        write_scene(temporary, scene, sfm_per_metre)
-        shutil.rmtree(old, ignore_errors=True)
-        if final.exists():
-            final.rename(old)  # a folder cannot be replaced in one go; `standing` puts this one back
-        temporary.rename(final)
-        shutil.rmtree(old, ignore_errors=True)
+        with write_whole(self.path / "scene") as temporary:
+            write_scene(temporary, scene, sfm_per_metre)
 
     def read_scene(self, capture: Capture) -> Scene:
         """With the rig as refined, from the moment the scale stage has refined it: whoever reads a run's scene has the one its scale
@@ -167,9 +160,8 @@ class RunFolder:
     def write_thermal(self, model: ThermalModel, name: str = "thermal", *, celsius: bool) -> None:
         write_thermal_ply(self.path / f"{name}.ply", model, celsius=celsius)
         if model.pattern is not None:
-            temporary = self.path / f".{name}_pattern.tiff.tmp"
-            Image.fromarray(model.pattern).save(temporary, format="TIFF")
-            temporary.replace(self.path / f"{name}_pattern.tiff")
+            with write_whole(self.path / f"{name}_pattern.tiff") as temporary:
+                Image.fromarray(model.pattern).save(temporary, format="TIFF")
         self._write_model(
             f"{name}.json",
             model,
@@ -211,10 +203,7 @@ class RunFolder:
 
     def write_json(self, name: str, data: Any) -> None:
         """Whole or not at all."""
-        path = self.path / name
-        temporary = path.with_name(path.name + ".tmp")
-        temporary.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        temporary.replace(path)
+        write_json(self.path / name, data)
 
     def read_json(self, name: str) -> dict[str, Any]:
         """Raises `RtgsError` where the file is missing or no JSON."""

@@ -10,7 +10,6 @@ import html
 import io
 import json
 import math
-import os
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,6 +26,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from PIL import Image
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_text_whole
 
 MOST_FRAMES = 6
 MOST_OVERLAYS = 3
@@ -70,14 +70,10 @@ def write_report(run: Path) -> Path:
     title = f"RGB–thermal model of {contents.name}"
     page = _PAGE.format(title=html.escape(title), style=_STYLE, body="\n".join(p for p in parts if p))
     path = run / "report.html"
-    temporary = run / f".report.html.{os.getpid()}.tmp"
     try:
-        temporary.write_text(page, encoding="utf-8")
-        temporary.replace(path)
+        write_text_whole(path, page)
     except OSError as error:
         raise RtgsError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return path
 
 

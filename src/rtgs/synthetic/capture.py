@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shutil
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
 from rtgs.config import SceneName, SynthConfig
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.records.camera import Camera
@@ -96,7 +96,7 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
     out = Path(out)
     _clear(out)
     out.mkdir(parents=True, exist_ok=True)
-    _write_json(out / GROUND_TRUTH_JSON, {"status": "unfinished", "config": asdict(config)})  # by this `_clear` knows its own
+    write_json(out / GROUND_TRUTH_JSON, {"status": "unfinished", "config": asdict(config)})  # by this `_clear` knows its own
     model = compiled_scene(config.scene)
     rig = true_rig(config)
     names = frame_names(config)
@@ -135,9 +135,9 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
         model.model.background_c,
         gains,
     )
-    _write_json(out / GROUND_TRUTH_JSON, truth.to_json())
-    _write_json(out / "transforms.json", transforms_json(truth))
-    _write_json(out / "rig.json", rig_json(written_rig(config, rig)))
+    write_json(out / GROUND_TRUTH_JSON, truth.to_json())
+    write_json(out / "transforms.json", transforms_json(truth))
+    write_json(out / "rig.json", rig_json(written_rig(config, rig)))
     return truth
 
 
@@ -336,10 +336,3 @@ def _clear(out: Path) -> None:
                 entry.unlink()
     elif out.exists():
         raise RtgsError(f"{out}: is a file; name a folder for the capture")
-
-
-def _write_json(path: Path, value: dict[str, Any]) -> None:
-    """Whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)

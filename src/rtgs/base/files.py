@@ -1,0 +1,62 @@
+"""Files and folders that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def write_whole(path: Path) -> Iterator[Path]:
+    """A place beside `path` to write to, a file or a folder, which becomes `path` when the block ends without an error.
+
+    A reader sees the old content or the new one, never half of it: a file is renamed over the old one after it has reached the disk.
+    A folder cannot replace another in one step; `recover` mends what a crash between the two steps leaves.
+
+    Raises:
+        OSError: as the writing does; `path` is then as it was, and nothing is left beside it.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    _remove(temporary)
+    try:
+        yield temporary
+        if temporary.is_dir():
+            old = _old(path)
+            _remove(old)
+            if path.exists():
+                path.rename(old)
+            temporary.rename(path)
+            _remove(old)
+        else:
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            temporary.replace(path)
+    finally:
+        _remove(temporary)
+
+
+def write_text_whole(path: Path, text: str) -> None:
+    """UTF-8 text, by `write_whole`."""
+    with write_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def recover(path: Path) -> None:
+    """Put a folder back that `write_whole` was replacing when the process was killed."""
+    old = _old(path)
+    if old.exists() and not path.exists():
+        old.rename(path)
+
+
+def _old(path: Path) -> Path:
+    return path.with_name(f".{path.name}.old.tmp")
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
