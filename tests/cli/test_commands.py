@@ -29,7 +29,7 @@ ARGUMENTS = {
     "import": ["{flir,dji}", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],
     "demo": ["--out"],
-    "bench": ["synthetic"],
+    "experiment": ["synthetic"],
 }
 BENCHES = {
     "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--rgb.quality", "--workers"],
@@ -66,7 +66,7 @@ def test_help_of_a_command_names_its_arguments(command: str, capsys: pytest.Capt
     text = capsys.readouterr().out
     for argument in ARGUMENTS[command]:
         assert argument in text, argument
-    assert "(required)" in text or command in ("demo", "bench")
+    assert "(required)" in text or command in ("demo", "experiment")
     assert "--config" not in text  # settings are flags without a prefix
 
 

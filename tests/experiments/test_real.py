@@ -528,7 +528,7 @@ def test_of_a_capture_by_one_command(tmp_path: Path, monkeypatch: pytest.MonkeyP
     metres = float(np.linalg.norm(ends[0] - ends[1]))
     main(
         [
-            "bench",
+            "experiment",
             "real",
             str(capture),
             "--out",

@@ -44,7 +44,7 @@ from rtgs.run.views import render_views
 from rtgs.scale.records import Refinement
 from rtgs.synthetic import SynthConfig, write_capture
 
-SOURCE = Path(rtgs.cli.__file__).parent
+SOURCE = Path(rtgs.__file__).parent
 SYNTH = SynthConfig(scene="lego", frames=10, size=48, supersampling=1, seed=3, thermal_clean=False)
 HELD_OUT = ("frame_000", "frame_008")
 RGB_FLAGS = {"steps": 40, "random-points": 250, "densify.max-gaussians": 400, "densify.every": 10}
@@ -275,7 +275,7 @@ def test_the_refined_rig_is_what_later_stages_see(
     seen: dict[str, list[Rig]] = {}
 
     def watched(name: str) -> Any:
-        work = getattr(rtgs.pipeline, name)
+        work = getattr(rtgs.run.pipeline, name)
 
         def call(scene: Scene, *arguments: Any, **more: Any) -> Any:
             seen.setdefault(name, []).append(scene.rig)
@@ -291,7 +291,7 @@ def test_the_refined_rig_is_what_later_stages_see(
         return poses and (a.thermal, a.rgb, a.time_offset) == (b.thermal, b.rgb, b.time_offset)
 
     for name in ("estimate_scale", "fit_thermal", "gaussian_temperatures", "evaluate"):
-        monkeypatch.setattr(rtgs.pipeline, name, watched(name))
+        monkeypatch.setattr(rtgs.run.pipeline, name, watched(name))
     _, code = recorded(["run", str(capture), f"--out={run}", "--scale.steps", "6"])
     assert code == 0 and same(seen["estimate_scale"][0], calibrated)
     for name in ("fit_thermal", "gaussian_temperatures", "evaluate"):
@@ -461,8 +461,8 @@ def test_the_truth_is_never_read(capture: Path, finished: Path, tmp_path: Path, 
 
 def test_no_source_file_names_the_truth() -> None:
     named = [p for p in SOURCE.rglob("*.py") if "ground_truth" in p.read_text(encoding="utf-8")]
-    assert {p.relative_to(SOURCE).parts[0] for p in named} <= {"synthetic", "cli.py"}
-    source = (SOURCE / "cli.py").read_text(encoding="utf-8")
+    assert {p.relative_to(SOURCE).parts[0] for p in named} <= {"synthetic", "cli"}
+    source = (SOURCE / "cli" / "__init__.py").read_text(encoding="utf-8")
     demo = source[source.index("    def demo(") : source.index("    return {\n", source.index("    def demo("))]
     assert source.count("ground_truth") == demo.count("ground_truth") > 0
 

@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
 
-import numpy as np
-
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import write_text_whole
 
@@ -24,7 +22,7 @@ def to_json(value: Any) -> Any:
         return {f.name: to_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {str(k): to_json(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # an array; NumPy is not imported here, which the command line waits for
         return value.tolist()
     if isinstance(value, tuple | list):
         return [to_json(v) for v in value]
