@@ -26,7 +26,7 @@ from rtgs.config import SCENES, RgbConfig, ScaleConfig, SynthConfig
 from rtgs.experiments.scenery import Trial, prepare
 from rtgs.experiments.variants import Variant
 from rtgs.maths.geometry import axis_angle_from_rotation
-from rtgs.records.scene import CalibrationStd, Rig
+from rtgs.records.rig import CalibrationStd, Rig
 from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scale.calibration import freedoms
 from rtgs.scale.records import Counter

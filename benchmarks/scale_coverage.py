@@ -28,7 +28,8 @@ from rtgs.base.json_records import read_run_json, write_json
 from rtgs.config import SCENES, RgbConfig, SceneName, SynthConfig
 from rtgs.experiments.scenery import Trial, prepare
 from rtgs.experiments.variants import Variant
-from rtgs.records.scene import CalibrationStd, Scene
+from rtgs.records.rig import CalibrationStd
+from rtgs.records.scene import Scene
 from rtgs.scale import estimate_scale
 
 STD = CalibrationStd(baseline_length=0.005, baseline_direction=0.005, rotation_rad=math.radians(0.05), thermal_focal=0.003)

@@ -20,7 +20,8 @@ import numpy as np
 
 from rtgs.config import ScaleConfig
 from rtgs.io.capture import load_capture
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.run.pipeline import RunFolder
 from rtgs.scale import ScaleEstimate, estimate_scale
 

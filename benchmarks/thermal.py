@@ -29,7 +29,8 @@ from rtgs.config import DensifyConfig, RgbConfig, RunConfig, SfmConfig, SynthCon
 from rtgs.io.capture import load_capture
 from rtgs.metrics.basic import mae, psnr
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.rgb.train import fit_rgb
 from rtgs.run.pipeline import RunFolder
 from rtgs.sfm.poses import run_sfm

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from rtgs.maths.geometry import SE3, Sim3
     from rtgs.models import RgbModel, ThermalModel
     from rtgs.records.camera import Camera
+    from rtgs.records.capture import Capture, Frame
     from rtgs.records.gaussians import Gaussians
-    from rtgs.records.scene import Capture, Frame, Rig, Scene
+    from rtgs.records.rig import Rig
+    from rtgs.records.scene import Scene
     from rtgs.renderer import Direction, LinearRender, LinearViews, Render, RenderSettings, Tangents, render, render_with_tangents
     from rtgs.rgb.train import fit_rgb
     from rtgs.scale import ScaleEstimate, estimate_scale
@@ -60,13 +62,13 @@ _WHERE = {
         "ThermalModel",
     ),
     "records.camera": ("Camera",),
-    "records.gaussians": ("Gaussians",),
-    "records.scene": (
+    "records.capture": (
         "Capture",
         "Frame",
-        "Rig",
-        "Scene",
     ),
+    "records.gaussians": ("Gaussians",),
+    "records.rig": ("Rig",),
+    "records.scene": ("Scene",),
     "renderer": (
         "Direction",
         "LinearRender",

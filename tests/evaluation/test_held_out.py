@@ -19,9 +19,11 @@ from rtgs.metrics.basic import psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.radiometry import LinearRange
-from rtgs.records.scene import Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.run.summary import metric_lines
 

@@ -31,8 +31,10 @@ from rtgs.maths import sh
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 from rtgs.run.pipeline import RunFolder
 from rtgs.scale import ScaleEstimate

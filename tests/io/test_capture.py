@@ -23,6 +23,7 @@ from rtgs.io.rig import read_rig, write_rig
 from rtgs.io.transforms import read_transforms, write_transforms
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.records.camera import Camera
+from rtgs.records.capture import SparsePoints
 from rtgs.records.radiometry import (
     CENTIKELVIN,
     Atmosphere,
@@ -31,7 +32,8 @@ from rtgs.records.radiometry import (
     PlanckCalibration,
     PlanckRadiometry,
 )
-from rtgs.records.scene import CalibrationStd, Rig, Scene, SparsePoints
+from rtgs.records.rig import CalibrationStd, Rig
+from rtgs.records.scene import Scene
 
 RGB = Camera("OPENCV", 64, 48, 60.0, 61.0, 32.5, 23.5, k1=-0.05, k2=0.01, p1=0.001, p2=-0.002)
 THERMAL = Camera("PINHOLE", 40, 32, 45.0, 45.0, 20.0, 16.0)

@@ -21,8 +21,10 @@ from rtgs.maths.sh import C0
 from rtgs.metrics.basic import psnr
 from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 from rtgs.renderer.reference import rotation_from_quats
 from rtgs.rgb.densify import ScreenGradients, budget, densify, is_round, target_count

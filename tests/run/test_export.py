@@ -22,9 +22,10 @@ from rtgs.io.ply import read_ply, read_thermal_ply
 from rtgs.maths.geometry import quat_from_rotation
 from rtgs.maths.sh import C0
 from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
+from rtgs.records.capture import SparsePoints
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.radiometry import LinearRange
-from rtgs.records.scene import Scene, SparsePoints
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.run.export import scaled_scene
 from rtgs.run.pipeline import RunFolder

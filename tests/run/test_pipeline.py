@@ -36,7 +36,8 @@ from rtgs.io.colmap import read_sparse
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.records.radiometry import ObjectParameters, PlanckCalibration, PlanckRadiometry
-from rtgs.records.scene import Rig, Scene
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import render
 from rtgs.run.folder import fingerprints
 from rtgs.run.pipeline import STAGES, Pipeline, RunFolder

@@ -24,8 +24,10 @@ from rtgs.maths.geometry import SE3, is_rotation, look_at, rotation_from_axis_an
 from rtgs.maths.sh import C0
 from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import CalibrationStd, Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.records.rig import CalibrationStd, Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 from rtgs.scale import Comparison, Objective, ScaleEstimate, estimate_scale
 from rtgs.scale.adam import adam

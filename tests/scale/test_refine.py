@@ -20,7 +20,8 @@ from rtgs.images.filters import GRAY_WEIGHTS
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.maths.sh import C0
 from rtgs.models import RgbModel
-from rtgs.records.scene import CalibrationStd, Rig, Scene
+from rtgs.records.rig import CalibrationStd, Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 from rtgs.scale import Objective, ScaleEstimate, estimate_scale
 from rtgs.scale.joint import Joint

@@ -19,7 +19,7 @@ from rtgs.io.rig import write_rig
 from rtgs.io.transforms import write_transforms
 from rtgs.maths.geometry import SE3, look_at
 from rtgs.records.camera import Camera
-from rtgs.records.scene import Rig
+from rtgs.records.rig import Rig
 from rtgs.sfm.poses import run_sfm
 
 RGB = Camera("OPENCV", 320, 240, 300.0, 303.0, 161.5, 118.0, k1=-0.08, k2=0.02, p1=0.001, p2=-0.001)

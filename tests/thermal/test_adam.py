@@ -19,9 +19,11 @@ from rtgs.maths.sh import C0
 from rtgs.metrics.basic import mae
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.radiometry import LinearRange
-from rtgs.records.scene import Capture, Frame, Rig, Scene, SparsePoints
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.thermal import fit_thermal, training_range
 

@@ -30,7 +30,8 @@ from rtgs.experiments.strategies.metric_poses import load_mast3r, scale_from_pai
 from rtgs.experiments.strategies.planar import PlanarScene
 from rtgs.io.colmap import read_scene
 from rtgs.models import RgbModel
-from rtgs.records.scene import Capture, Scene
+from rtgs.records.capture import Capture
+from rtgs.records.scene import Scene
 from rtgs.run.config_file import is_run, read_config
 from rtgs.run.pipeline import Pipeline, Reporter, RunFolder
 from rtgs.scale import ScaleEstimate

@@ -25,7 +25,8 @@ from rtgs.experiments.rivals import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, O
 from rtgs.experiments.scenery import Trial, prepare
 from rtgs.experiments.tables import RUN, write_tables
 from rtgs.experiments.variants import FAR, FAR_SCENE, ROWS, Variant, groups
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.scale import Objective, ScaleEstimate
 from rtgs.scale.adam import adam
 from rtgs.scale.bracket import flow_per_unit

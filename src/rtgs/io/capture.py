@@ -19,8 +19,8 @@ from rtgs.io.rig import read_rig
 from rtgs.io.transforms import read_transforms
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera, Undistortion
+from rtgs.records.capture import Capture, Frame, Poses
 from rtgs.records.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
-from rtgs.records.scene import Capture, Frame, Poses
 
 MIN_FRAMES = 3
 _INTRINSICS_TOLERANCE = 0.01

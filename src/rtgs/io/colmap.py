@@ -18,7 +18,8 @@ from rtgs.base.errors import RtgsError
 from rtgs.io.image_files import frame_name, in_thermal_folder
 from rtgs.maths.geometry import SE3, quat_from_rotation, rotation_from_quat
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
-from rtgs.records.scene import Capture, Poses, Scene, SparsePoints
+from rtgs.records.capture import Capture, Poses, SparsePoints
+from rtgs.records.scene import Scene
 
 RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID, THERMAL_RIG_ID = 1, 2, 1, 2
 _FAILURES = "failures.json"

@@ -23,7 +23,7 @@ from rtgs.records.radiometry import (
     PlanckRadiometry,
     Radiometry,
 )
-from rtgs.records.scene import CalibrationStd, Rig
+from rtgs.records.rig import CalibrationStd, Rig
 
 _SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
 _LENS_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")

@@ -1,1 +1,1 @@
-"""The records that stages hand on: camera, Gaussians, radiometry, scene."""
+"""The records that stages hand on: camera, Gaussians, radiometry, rig, capture, scene, decision."""

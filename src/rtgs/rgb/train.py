@@ -24,8 +24,9 @@ from rtgs.maths import sh
 from rtgs.maths.adam import Adam
 from rtgs.metrics.basic import psnr
 from rtgs.models import RgbModel
+from rtgs.records.capture import Frame
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 from rtgs.renderer.reference import rotation_from_quats
 from rtgs.rgb.densify import ScreenGradients, budget, densify, is_round, target_count

@@ -9,7 +9,8 @@ from rtgs.io.colmap import write_scene
 from rtgs.io.ply import write_ply
 from rtgs.io.transforms import write_transforms
 from rtgs.maths.geometry import SE3
-from rtgs.records.scene import Scene, SparsePoints
+from rtgs.records.capture import SparsePoints
+from rtgs.records.scene import Scene
 from rtgs.run.folder import RunFolder, refuse_own_folders, write_thermal_ply
 
 

@@ -23,8 +23,9 @@ from rtgs.io.image_files import IMAGE_SUFFIXES
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.io.rig import read_json_object, without_radiometry
 from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
+from rtgs.records.capture import Capture
 from rtgs.records.radiometry import Atmosphere, LinearRange, PlanckCalibration, PlanckRange, ThermalRange
-from rtgs.records.scene import Capture, Scene
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.run.config_file import is_run, read_config
 from rtgs.scale import ScaleEstimate

@@ -16,7 +16,8 @@ from rtgs.evaluation.held_out import evaluate
 from rtgs.io.capture import load_capture
 from rtgs.metrics.lpips import available
 from rtgs.models import ThermalModel
-from rtgs.records.scene import Capture, Scene
+from rtgs.records.capture import Capture
+from rtgs.records.scene import Scene
 from rtgs.rgb.train import fit_rgb, model_from_ply
 from rtgs.run.folder import STAGES, RunFolder, Stage, fingerprints
 from rtgs.run.summary import metric_lines

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Frame
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 
 _FRAMES = 12  # enough for a percentile

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
-from rtgs.records.scene import CalibrationStd, Rig
+from rtgs.records.rig import CalibrationStd, Rig
 from rtgs.scale.objective import Objective
 
 Change = Callable[[Rig, float], Rig]

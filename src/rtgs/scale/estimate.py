@@ -12,7 +12,8 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
 from rtgs.config import PAPER_EPSILON, ScaleConfig
 from rtgs.models import RgbModel
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.scale.adam import adam
 from rtgs.scale.bracket import bracket, flow_per_unit, information
 from rtgs.scale.calibration import calibration_std_log

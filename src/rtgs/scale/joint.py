@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import Rig, Scene
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import Direction
 from rtgs.scale.objective import Objective
 from rtgs.scale.records import Counter

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from rtgs.images.filters import GRAY_WEIGHTS, SOBEL, downsample, downsample_mask, erode_for_sobel, sobel, to_gray
 from rtgs.models import RgbModel
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.renderer import render
 
 _LEAST = 1e-6  # of a picture without any gradient: the paper's ε

@@ -16,8 +16,10 @@ from rtgs.losses.ngf import NgfPyramid
 from rtgs.losses.ngf_fused import FusedNgf, Products
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
+from rtgs.records.capture import Frame
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.scene import Frame, Rig, Scene
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import Direction, RenderSettings, render, render_with_tangents
 
 

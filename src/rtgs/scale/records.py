@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3
-from rtgs.records.scene import Rig, Scene
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 
 Status = Literal["ok", "ambiguous", "unobservable"]
 

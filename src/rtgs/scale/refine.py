@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
 from rtgs.models import RgbModel
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.scale.interval import LocalCurves, block_length, model_pixels, small_sample_factor
 from rtgs.scale.joint import Joint, Point, Vector
 from rtgs.scale.objective import Objective

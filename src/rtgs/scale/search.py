@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rtgs.images.filters import SOBEL
 from rtgs.images.patterns import sensor_pattern
 from rtgs.models import RgbModel
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 from rtgs.renderer import render
 from rtgs.scale.descend import Place, descend
 from rtgs.scale.noise import mean_gradients, model_error

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtgs.base.errors import RtgsError
-from rtgs.records.scene import CalibrationStd, Frame, Rig, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.rig import CalibrationStd, Rig
+from rtgs.records.scene import Scene
 from rtgs.scale.calibration import Change, freedoms
 from rtgs.scale.records import Freedom
 

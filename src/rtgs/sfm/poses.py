@@ -24,7 +24,8 @@ from rtgs.io.capture import MIN_FRAMES
 from rtgs.io.colmap import colmap_camera, points_from_colmap, quiet_colmap, rigid3d_from_se3, se3_from_rigid3d
 from rtgs.io.image_files import list_images, read_header, write_upright
 from rtgs.maths.geometry import SE3
-from rtgs.records.scene import Capture, Scene, SparsePoints
+from rtgs.records.capture import Capture, SparsePoints
+from rtgs.records.scene import Scene
 
 Progress = Callable[[str, int, int], None]
 T = TypeVar("T")

@@ -22,7 +22,7 @@ from rtgs.base.json_records import write_json
 from rtgs.config import SceneName, SynthConfig
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.records.camera import Camera
-from rtgs.records.scene import Rig
+from rtgs.records.rig import Rig
 from rtgs.synthetic.raycast import CompiledModel, render_rgb, render_thermal
 from rtgs.synthetic.scenes import build_scene
 

@@ -13,8 +13,9 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
 from rtgs.maths import sh
 from rtgs.models import GaussianTemperatures, ThermalModel
+from rtgs.records.capture import Frame
 from rtgs.records.radiometry import ThermalRange
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.scene import Scene
 from rtgs.thermal.design import Design, threads_for
 from rtgs.thermal.frames import ThermalFrames
 from rtgs.thermal.least_squares import Problem, preconditioner, solve

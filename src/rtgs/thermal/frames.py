@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from rtgs.maths.geometry import SE3
+from rtgs.records.capture import Frame
 from rtgs.records.radiometry import LinearRange, PlanckRange, ThermalRange
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.scene import Scene
 
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
 

@@ -45,7 +45,7 @@ from rtgs.io.rig import read_rig, write_rig
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.records.camera import Camera
 from rtgs.records.radiometry import CENTIKELVIN
-from rtgs.records.scene import Rig
+from rtgs.records.rig import Rig
 
 NAMES = ("FLIR0001", "FLIR0002", "FLIR0003")
 THERMAL_FOCAL_PX = THERMAL_SIZE[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2))

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
 from rtgs.records.camera import Camera
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 
 PairPredictor = Callable[[Frame, Frame, Camera], float | None]
 """Two frames and their RGB camera → metres between them, or None where the pair says nothing."""

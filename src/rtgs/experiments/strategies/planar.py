@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
-from rtgs.records.scene import Rig, Scene
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
 
 LEAST_SHARE = 0.5  # of the thermal image that has to come back: every row is scored there, and half an image is no capture
 

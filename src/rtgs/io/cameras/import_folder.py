@@ -25,7 +25,7 @@ from rtgs.io.image_files import list_images, read_header
 from rtgs.io.rig import RigFile, camera_to_json, radiometry_to_json, read_rig, write_rig
 from rtgs.records.camera import Camera
 from rtgs.records.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
-from rtgs.records.scene import Rig
+from rtgs.records.rig import Rig
 
 Brand = Literal["flir", "dji"]
 _MAKE, _MODEL, _DATE_TIME, _GPS_IFD = 271, 272, 306, 0x8825
