@@ -5,7 +5,7 @@
 >>> rgb = rtgs.fit_rgb(scene)
 >>> scale = rtgs.estimate_scale(scene, rgb)
 >>> thermal = rtgs.fit_thermal(scene, rgb, scale.sfm_per_metre)
->>> rtgs.evaluate(scene, rgb, thermal)["thermal"]["mae_c"]
+>>> rtgs.evaluate(scene, rgb, thermal).thermal.mae_c
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rtgs.base.errors import RtgsError
     from rtgs.config import RgbConfig, ScaleConfig, SfmConfig, ThermalConfig
     from rtgs.evaluation.held_out import evaluate
+    from rtgs.evaluation.records import Evaluation
     from rtgs.io.capture import load_capture
     from rtgs.io.ply import read_ply, write_ply
     from rtgs.maths.geometry import SE3, Sim3
@@ -48,6 +49,7 @@ _WHERE = {
         "ThermalConfig",
     ),
     "evaluation.held_out": ("evaluate",),
+    "evaluation.records": ("Evaluation",),
     "io.capture": ("load_capture",),
     "io.ply": (
         "read_ply",
@@ -96,6 +98,7 @@ __all__ = [
     "Camera",
     "Capture",
     "Direction",
+    "Evaluation",
     "Frame",
     "Gaussians",
     "LinearRender",

@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 
 from rtgs.evaluation.held_out import evaluate
+from rtgs.evaluation.records import ModelScores
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.maths.sh import C0
 from rtgs.metrics.basic import psnr, ssim_index
@@ -85,12 +86,13 @@ def altered(scene: Scene, *, rgb: dict[str, np.ndarray] | None = None, thermal: 
 def test_a_perfect_model_scores_perfectly() -> None:
     scene, rgb, thermal = perfect()
     scores = evaluate(scene, rgb, thermal, thermal)
-    assert scores["rgb"]["psnr"] > 100 and scores["rgb"]["ssim"] == pytest.approx(1.0)
+    assert scores.rgb.known()["psnr"] > 100 and scores.rgb.known()["ssim"] == pytest.approx(1.0)
     for model in ("thermal", "thermal_naive"):
-        assert scores[model]["psnr"] > 100 and scores[model]["ssim"] == pytest.approx(1.0)
-        assert scores[model]["mae_c"] == pytest.approx(0.0, abs=1e-5)
-    assert scores["temperature_range_c"] == [10.0, 40.0]
-    assert list(scores["rgb"]["per_frame"]) == list(scores["thermal"]["per_frame"]) == HELD_OUT
+        known = scores.models[model].known()
+        assert known["psnr"] > 100 and known["ssim"] == pytest.approx(1.0)
+        assert known["mae_c"] == pytest.approx(0.0, abs=1e-5)
+    assert scores.temperature_range_c == (10.0, 40.0) and scores.count_range is None
+    assert list(scores.rgb.per_frame) == list(scores.thermal.per_frame) == HELD_OUT
 
 
 def test_known_errors() -> None:
@@ -99,11 +101,11 @@ def test_known_errors() -> None:
     off = {n: scene.capture.frames[int(n)].rgb + np.float32(0.1) for n in HELD_OUT}
     warm = {n: scene.capture.frames[int(n)].thermal + np.float32(3.0) for n in HELD_OUT}
     scores = evaluate(altered(scene, rgb=off, thermal=warm), rgb, thermal)
-    assert scores["rgb"]["psnr"] == pytest.approx(20.0, abs=1e-3)
-    assert scores["thermal"]["psnr"] == pytest.approx(20.0, abs=1e-3)
-    assert scores["thermal"]["mae_c"] == pytest.approx(3.0, abs=1e-4)
-    assert scores["thermal"]["ssim"] < 1 and scores["rgb"]["ssim"] < 1
-    assert "thermal_naive" not in scores
+    assert scores.rgb.known()["psnr"] == pytest.approx(20.0, abs=1e-3)
+    assert scores.thermal.known()["psnr"] == pytest.approx(20.0, abs=1e-3)
+    assert scores.thermal.known()["mae_c"] == pytest.approx(3.0, abs=1e-4)
+    assert scores.thermal.known()["ssim"] < 1 and scores.rgb.known()["ssim"] < 1
+    assert scores.thermal_naive is None and set(scores.models) == {"rgb", "thermal"}
 
 
 def test_lpips_is_of_the_same_pictures() -> None:
@@ -112,28 +114,28 @@ def test_lpips_is_of_the_same_pictures() -> None:
     assert min(RIG.rgb.height, RIG.rgb.width) >= SMALLEST_PX > RIG.thermal.height
     lpips = Lpips.load()
     scores = evaluate(scene, rgb, thermal, lpips=lpips)
-    assert scores["rgb"]["lpips"] == pytest.approx(0.0, abs=1e-6) and "lpips" not in scores["thermal"]
+    assert scores.rgb.known()["lpips"] == pytest.approx(0.0, abs=1e-6) and scores.thermal.lpips is None
     off = {n: scene.capture.frames[int(n)].rgb[:, ::-1] for n in HELD_OUT}
-    mirrored = evaluate(altered(scene, rgb=off), rgb, thermal, lpips=lpips)["rgb"]["per_frame"]["008"]["lpips"]
+    mirrored = evaluate(altered(scene, rgb=off), rgb, thermal, lpips=lpips).rgb.per_frame["008"].lpips
     view = rgb.render(RIG.rgb, scene.rgb_from_world("008"))
-    assert mirrored == pytest.approx(lpips(view, off["008"])) and mirrored > 0.01
+    assert mirrored == pytest.approx(lpips(view, off["008"])) and lpips(view, off["008"]) > 0.01
     larger = replace(RIG, thermal=Camera("PINHOLE", 36, 33, 40.0, 41.0, 17.5, 15.3))
     photographs = {n: np.full((33, 36), 20.0, np.float32) for n in HELD_OUT}
     capture = replace(scene.capture, rig=larger, thermal_mask=np.ones((33, 36), bool))
-    found = evaluate(altered(replace(scene, capture=capture), thermal=photographs), rgb, thermal, lpips=lpips)["thermal"]
+    found = evaluate(altered(replace(scene, capture=capture), thermal=photographs), rgb, thermal, lpips=lpips).thermal
     shown = thermal.render(larger.thermal, scene.thermal_from_world("000", SFM_PER_METRE))
-    assert found["per_frame"]["000"]["lpips"] == pytest.approx(lpips((shown - 10) / 30, np.full((33, 36), 1 / 3)), rel=1e-4)
+    assert found.per_frame["000"].lpips == pytest.approx(lpips((shown - 10) / 30, np.full((33, 36), 1 / 3)), rel=1e-4)
 
 
 def test_the_mean_is_of_the_frames() -> None:
     scene, rgb, thermal = perfect()
     warm = {n: scene.capture.frames[int(n)].thermal + np.float32(by) for n, by in (("000", 3.0), ("008", -0.3))}
-    scores = evaluate(altered(scene, thermal=warm), rgb, thermal)["thermal"]
-    assert scores["per_frame"]["000"]["psnr"] == pytest.approx(20.0, abs=1e-2)
-    assert scores["per_frame"]["008"]["psnr"] == pytest.approx(40.0, abs=1e-1)
-    assert scores["psnr"] == pytest.approx(30.0, abs=1e-1) and scores["mae_c"] == pytest.approx(1.65, abs=1e-3)
+    scores = evaluate(altered(scene, thermal=warm), rgb, thermal).thermal
+    assert scores.per_frame["000"].psnr == pytest.approx(20.0, abs=1e-2)
+    assert scores.per_frame["008"].psnr == pytest.approx(40.0, abs=1e-1)
+    assert scores.psnr == pytest.approx(30.0, abs=1e-1) and scores.mae_c == pytest.approx(1.65, abs=1e-3)
     for metric in ("psnr", "ssim", "mae_c"):
-        assert scores[metric] == pytest.approx(np.mean([s[metric] for s in scores["per_frame"].values()]))
+        assert scores.known()[metric] == pytest.approx(np.mean([s.known()[metric] for s in scores.per_frame.values()]))
 
 
 def test_training_frames_have_no_say() -> None:
@@ -153,12 +155,12 @@ def test_masks_are_respected() -> None:
         thermal={f.name: np.where(thermal_mask, f.thermal, np.float32(900.0)) for f in scene.frames},
     )
     spoilt = evaluate(junk, rgb, thermal)
-    assert spoilt["rgb"]["psnr"] < 30 and spoilt["thermal"]["mae_c"] > 10
+    assert spoilt.rgb.known()["psnr"] < 30 and spoilt.thermal.known()["mae_c"] > 10
     masked = replace(junk, capture=replace(junk.capture, rgb_mask=rgb_mask, thermal_mask=thermal_mask))
     scores = evaluate(masked, rgb, thermal)
-    assert scores["rgb"]["psnr"] > 100 and scores["rgb"]["ssim"] == pytest.approx(1.0)
-    assert scores["thermal"]["psnr"] > 100 and scores["thermal"]["ssim"] == pytest.approx(1.0)
-    assert scores["thermal"]["mae_c"] == pytest.approx(0.0, abs=1e-5)
+    assert scores.rgb.known()["psnr"] > 100 and scores.rgb.known()["ssim"] == pytest.approx(1.0)
+    assert scores.thermal.known()["psnr"] > 100 and scores.thermal.known()["ssim"] == pytest.approx(1.0)
+    assert scores.thermal.known()["mae_c"] == pytest.approx(0.0, abs=1e-5)
 
 
 def test_each_model_is_seen_from_its_own_poses() -> None:
@@ -169,16 +171,16 @@ def test_each_model_is_seen_from_its_own_poses() -> None:
     for name in HELD_OUT:
         view = naive.render(RIG.thermal, scene.thermal_from_world(name, 1.0))
         a, b = ((image - 10.0) / 30.0 for image in (view, scene.capture.frames[int(name)].thermal))
-        found = scores["thermal_naive"]["per_frame"][name]
-        assert found["psnr"] == pytest.approx(psnr(a, b), abs=1e-3) and found["ssim"] == pytest.approx(ssim_index(a, b), abs=1e-4)
-    assert scores["thermal_naive"]["psnr"] < 40 < scores["thermal"]["psnr"]
+        found = scores.models["thermal_naive"].per_frame[name]
+        assert found.psnr == pytest.approx(psnr(a, b), abs=1e-3) and found.ssim == pytest.approx(ssim_index(a, b), abs=1e-4)
+    assert scores.models["thermal_naive"].known()["psnr"] < 40 < scores.thermal.known()["psnr"]
 
 
 def test_a_relative_capture_has_counts() -> None:
     scene, rgb, thermal = perfect()
     scores = evaluate(replace(scene, capture=replace(scene.capture, thermal_unit="relative")), rgb, thermal)
-    assert set(scores) == {"rgb", "thermal", "count_range"}
-    assert set(scores["thermal"]) == {"psnr", "ssim", "mae_counts", "per_frame"}
+    assert scores.temperature_range_c is None and scores.count_range == (10.0, 40.0)
+    assert set(scores.thermal.known()) == {"psnr", "ssim", "mae_counts"}
     assert any("counts" in line for line in metric_lines(scores)) and not any("°C" in line for line in metric_lines(scores))
 
 
@@ -187,7 +189,7 @@ def test_without_held_out_frames(tmp_path: Path) -> None:
     scene, rgb, thermal = perfect()
     scene = replace(scene, world_from_rgb={k: v for k, v in scene.world_from_rgb.items() if k not in HELD_OUT})
     scores = evaluate(scene, rgb, thermal, thermal, renders=tmp_path)
-    assert scores["rgb"] == scores["thermal"] == scores["thermal_naive"] == {"per_frame": {}}
+    assert list(scores.models.values()) == 3 * [ModelScores()]
     assert not list(tmp_path.iterdir()) and metric_lines(scores) == []
 
 
@@ -229,7 +231,7 @@ def test_a_held_out_photograph_is_compared_with_the_drift_of_its_neighbours() ->
     frames = tuple(replace(f, thermal=f.thermal + np.float32(offsets[f.name])) for f in scene.capture.frames)
     warming = replace(scene, capture=replace(scene.capture, frames=frames))
     drift = {name: (1.0, offset) for name, offset in offsets.items() if name not in HELD_OUT}
-    known, unknown = (evaluate(warming, rgb, m)["thermal"]["per_frame"] for m in (replace(thermal, drift=drift), thermal))
+    known, unknown = (evaluate(warming, rgb, m).thermal.per_frame for m in (replace(thermal, drift=drift), thermal))
     expected = replace(thermal, drift=drift).drift_of("008")[1]
-    assert 2.0 < expected < 4.0 and unknown["008"]["mae_c"] == pytest.approx(4.0, abs=1e-3)
-    assert known["008"]["mae_c"] == pytest.approx(4.0 - expected, abs=1e-3)
+    assert 2.0 < expected < 4.0 and unknown["008"].mae_c == pytest.approx(4.0, abs=1e-3)
+    assert known["008"].mae_c == pytest.approx(4.0 - expected, abs=1e-3)

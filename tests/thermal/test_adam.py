@@ -211,8 +211,8 @@ def test_relative_captures_say_counts() -> None:
     scene, rgb, _ = known()
     scene = with_thermal(scene, {}, thermal_unit="relative")
     scores = evaluate(scene, replace(rgb, gaussians=rgb.gaussians), fit_thermal(scene, rgb, SFM_PER_METRE, QUICK))
-    assert scores["thermal"]["mae_counts"] > 0 and "count_range" in scores
-    assert not any(key.endswith("_c") for key in [*scores, *scores["thermal"]])
+    assert scores.thermal.known()["mae_counts"] > 0 and scores.count_range is not None
+    assert scores.thermal.mae_c is None and scores.temperature_range_c is None
 
 
 def test_progress_is_told_and_can_stop() -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rtgs.base.progress import Progress
+from rtgs.evaluation.records import Evaluation, ModelScores, Scores
 from rtgs.images.filters import GRAY_WEIGHTS
 from rtgs.images.pictures import edge_overlay, error_map, palette, save_png, to_picture
 from rtgs.metrics.basic import mae, psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.records.scene import Scene
+from rtgs.records.scene import Frame, Scene
 
 RGB_ERROR_LIMIT = 0.25
 THERMAL_ERROR_SHARE = 0.2  # of the range
@@ -28,66 +28,52 @@ def evaluate(
     lpips: Lpips | None = None,
     renders: Path | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Held-out PSNR, SSIM, LPIPS and temperature error.
+) -> Evaluation:
+    """Score the models on the held-out frames: PSNR, SSIM, LPIPS and temperature error.
 
-    Nothing is fitted to a held-out frame. Where the model has drift, a render gets what the frames beside it let expect
-    (`ThermalModel.drift_of`). Thermal PSNR, SSIM and LPIPS are in the fixed range of the training images (`LinearRange`), on
-    valid pixels; LPIPS sees them as gray pictures, clipped to the range.
+    Nothing is fitted to a held-out frame. Where the thermal model has drift, a render gets the drift that the frames beside it let
+    expect (`ThermalModel.drift_of`). Thermal PSNR, SSIM and LPIPS are computed in the fixed range of the training images
+    (`LinearRange`), on valid pixels. LPIPS compares them as gray pictures, clipped to the range.
 
     Args:
         naive_model: the control, fitted at `sfm_per_metre` = 1.
-        lpips: without it, and for images under 32 px a side, there is no LPIPS.
+        lpips: the network. Without it, and for images under 32 px a side, no LPIPS is computed.
         renders: a folder for pictures: reference, render and error of each view, and the edge overlays at scale 1 and at the
             recovered scale.
+        progress: called with (frames done, frames in all, the frame's name).
 
     Returns:
-        {"rgb": {"psnr", "ssim", "lpips", "per_frame"}, "thermal": {"psnr", "ssim", "lpips", "mae_c", "per_frame"},
-        "thermal_naive": likewise, "temperature_range_c": [lo, hi]}; a relative capture has "mae_counts" and "count_range" instead.
-        Without held-out frames the scores are absent.
+        Means and per-frame scores. Without held-out frames no model has a score.
     """
-    frames = scene.held_out_frames
-    unit = "c" if scene.capture.thermal_unit == "celsius" else "counts"
+    frames, capture, rig = scene.held_out_frames, scene.capture, scene.rig
     thermal_models = {"thermal": thermal_model} | ({"thermal_naive": naive_model} if naive_model is not None else {})
-    scores: dict[str, dict[str, dict[str, float]]] = {key: {} for key in ("rgb", *thermal_models)}
+    scores: dict[str, dict[str, Scores]] = {key: {} for key in ("rgb", *thermal_models)}
     for done, frame in enumerate(frames):
-        view = rgb_model.render(scene.rig.rgb, scene.rgb_from_world(frame.name))
-        mask = scene.capture.rgb_mask
-        scores["rgb"][frame.name] = _likeness(view, frame.rgb, mask, lpips)
+        view = rgb_model.render(rig.rgb, scene.rgb_from_world(frame.name))
+        scores["rgb"][frame.name] = Scores(**_likeness(view, frame.rgb, capture.rgb_mask, lpips))
         if renders is not None:
             save_png(renders / "rgb" / f"{frame.name}.reference.png", to_picture(frame.rgb))
             save_png(renders / "rgb" / f"{frame.name}.render.png", to_picture(view))
             save_png(renders / "rgb" / f"{frame.name}.error.png", error_map(view, frame.rgb, RGB_ERROR_LIMIT))
-        mask = scene.capture.thermal_mask
         for key, model in thermal_models.items():
             pose = scene.thermal_from_world(frame.name, model.sfm_per_metre)
-            temperature = model.render(scene.rig.thermal, pose, photographed_in=frame.name)
-            a, b = model.range.normalise(temperature), model.range.normalise(frame.thermal)
-            scores[key][frame.name] = {
-                **_likeness(a, b, mask, lpips),
-                f"mae_{unit}": mae(temperature, frame.thermal, mask=mask),
-            }
+            temperature = model.render(rig.thermal, pose, photographed_in=frame.name)
+            scores[key][frame.name] = _thermal_scores(temperature, frame.thermal, scene, model, lpips)
             if renders is not None:
-                _draw_thermal(renders / key, frame.name, temperature, np.where(mask, frame.thermal, np.nan), model, unit)
+                _draw_thermal(renders / key, frame, temperature, scene, model)
         if renders is not None:
-            for when, sfm_per_metre in (("before", 1.0), ("after", thermal_model.sfm_per_metre)):
-                pose = scene.thermal_from_world(frame.name, sfm_per_metre)
-                gray = rgb_model.render(scene.rig.thermal, pose) @ np.array(GRAY_WEIGHTS, np.float32)
-                overlay = edge_overlay(gray, thermal_model.range.normalise(frame.thermal), mask)
-                save_png(renders / "overlay" / f"{frame.name}.{when}.png", overlay)
+            _draw_overlays(renders / "overlay", frame, scene, rgb_model, thermal_model)
         if progress is not None:
             progress(done + 1, len(frames), frame.name)
-    result: dict[str, Any] = {}
-    for key, per_frame in scores.items():
-        if per_frame:
-            names = next(iter(per_frame.values()))
-            result[key] = {m: float(np.mean([s[m] for s in per_frame.values()])) for m in names}
-        else:
-            result[key] = {}
-        result[key]["per_frame"] = per_frame
-    span = thermal_model.range
-    result["temperature_range_c" if unit == "c" else "count_range"] = [span.lo, span.hi]
-    return result
+    models = {key: ModelScores.of(per_frame) for key, per_frame in scores.items()}
+    span, celsius = (thermal_model.range.lo, thermal_model.range.hi), capture.thermal_unit == "celsius"
+    return Evaluation(
+        models["rgb"],
+        models["thermal"],
+        models.get("thermal_naive"),
+        temperature_range_c=span if celsius else None,
+        count_range=None if celsius else span,
+    )
 
 
 def _likeness(view: np.ndarray, reference: np.ndarray, mask: np.ndarray, lpips: Lpips | None) -> dict[str, float]:
@@ -97,12 +83,31 @@ def _likeness(view: np.ndarray, reference: np.ndarray, mask: np.ndarray, lpips: 
     return found
 
 
-def _draw_thermal(
-    folder: Path, name: str, temperature: np.ndarray, reference: np.ndarray, model: ThermalModel, unit: str
-) -> None:
-    label = "°C" if unit == "c" else "counts"
+def _thermal_scores(
+    temperature: np.ndarray, reference: np.ndarray, scene: Scene, model: ThermalModel, lpips: Lpips | None
+) -> Scores:
+    mask = scene.capture.thermal_mask
+    likeness = _likeness(model.range.normalise(temperature), model.range.normalise(reference), mask, lpips)
+    error = mae(temperature, reference, mask=mask)
+    if scene.capture.thermal_unit == "celsius":
+        return Scores(**likeness, mae_c=error)
+    return Scores(**likeness, mae_counts=error)
+
+
+def _draw_thermal(folder: Path, frame: Frame, temperature: np.ndarray, scene: Scene, model: ThermalModel) -> None:
+    """Reference, render and error of one view; invalid pixels of the sensor are gray."""
+    reference = np.where(scene.capture.thermal_mask, frame.thermal, np.nan)
     lo, hi = model.range.lo, model.range.hi
-    limit = THERMAL_ERROR_SHARE * (hi - lo)
-    save_png(folder / f"{name}.reference.png", palette(reference, lo, hi))
-    save_png(folder / f"{name}.render.png", palette(temperature, lo, hi))
-    save_png(folder / f"{name}.error.png", error_map(temperature, reference, limit, label))
+    unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
+    save_png(folder / f"{frame.name}.reference.png", palette(reference, lo, hi))
+    save_png(folder / f"{frame.name}.render.png", palette(temperature, lo, hi))
+    save_png(folder / f"{frame.name}.error.png", error_map(temperature, reference, THERMAL_ERROR_SHARE * (hi - lo), unit))
+
+
+def _draw_overlays(folder: Path, frame: Frame, scene: Scene, rgb_model: RgbModel, thermal_model: ThermalModel) -> None:
+    """Edges of the RGB model, seen from the thermal camera, on those of the thermal image: at scale 1 and at the recovered scale."""
+    thermal = thermal_model.range.normalise(frame.thermal)
+    for when, sfm_per_metre in (("before", 1.0), ("after", thermal_model.sfm_per_metre)):
+        pose = scene.thermal_from_world(frame.name, sfm_per_metre)
+        gray = rgb_model.render(scene.rig.thermal, pose) @ np.array(GRAY_WEIGHTS, np.float32)
+        save_png(folder / f"{frame.name}.{when}.png", edge_overlay(gray, thermal, scene.capture.thermal_mask))

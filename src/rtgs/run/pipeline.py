@@ -209,10 +209,8 @@ class Pipeline:
             "held-out views",
             lambda progress: evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=renders, progress=progress),
         )
-        if notes:
-            scores["notes"] = notes
-        scores["timings_s"] = {**self.folder.seconds(), "evaluate": seconds}
-        self.folder.write_json("metrics.json", scores)
+        scores = replace(scores, notes=tuple(notes), timings_s={**self.folder.seconds(), "evaluate": seconds})
+        scores.write(self.folder.path / "metrics.json")
         for line in metric_lines(scores):
             self.reporter.say(line)
         return {"evaluate": seconds}

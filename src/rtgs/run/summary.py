@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from rtgs.evaluation.records import Evaluation
 
-_NAMES = {
+_TEXTS = {
     "psnr": "PSNR {:.2f} dB",
     "ssim": "SSIM {:.4f}",
     "lpips": "LPIPS {:.3f}",
     "mae_c": "MAE {:.3f} °C",
     "mae_counts": "MAE {:.1f} counts",
 }
+_TITLES = {"rgb": "RGB", "thermal": "thermal", "thermal_naive": "thermal at scale 1 (control)"}
 
 
-def metric_lines(metrics: dict[str, Any]) -> list[str]:
-    """One line each for RGB, thermal and the naive control; nothing for what has no held-out view."""
+def metric_lines(evaluation: Evaluation) -> list[str]:
+    """One line a model: RGB, thermal and the control at scale 1. A model without a score has no line."""
     lines = []
-    for key, title in (("rgb", "RGB"), ("thermal", "thermal"), ("thermal_naive", "thermal at scale 1 (control)")):
-        values = metrics.get(key, {})
-        shown = [text.format(values[name]) for name, text in _NAMES.items() if name in values]
+    for key, model in evaluation.models.items():
+        shown = [_TEXTS[name].format(value) for name, value in model.known().items()]
         if shown:
-            lines.append(f"held-out {title}: " + ", ".join(shown))
+            lines.append(f"held-out {_TITLES[key]}: " + ", ".join(shown))
     return lines
