@@ -98,7 +98,7 @@ def tuned_adam(problem: Problem, rates: list[float], steps: list[int]) -> tuple[
 
 def report(problem: Problem, rates: list[float], steps: list[int]) -> None:
     scene = problem.scene
-    unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
+    unit = scene.capture.radiometry.unit
     print(f"\n{problem.name}: {len(problem.rgb.gaussians):,} Gaussians, {len(scene.train_frames)} training frames of ", end="")
     print(f"{scene.rig.thermal.width} × {scene.rig.thermal.height}\n", flush=True)
     for config in (ThermalConfig(), ThermalConfig(solver="adam", steps=2)):

@@ -22,7 +22,7 @@ from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import LinearRange
+from rtgs.records.radiometry import CELSIUS, LinearRange, RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
@@ -69,7 +69,7 @@ def perfect() -> tuple[Scene, RgbModel, ThermalModel]:
         frames=tuple(frames),
         rgb_mask=np.ones((RIG.rgb.height, RIG.rgb.width), bool),
         thermal_mask=np.ones((RIG.thermal.height, RIG.thermal.width), bool),
-        thermal_unit="celsius",
+        radiometry=CELSIUS,
         poses=None,
     )
     points = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
@@ -178,7 +178,7 @@ def test_each_model_is_seen_from_its_own_poses() -> None:
 
 def test_a_relative_capture_has_counts() -> None:
     scene, rgb, thermal = perfect()
-    scores = evaluate(replace(scene, capture=replace(scene.capture, thermal_unit="relative")), rgb, thermal)
+    scores = evaluate(replace(scene, capture=replace(scene.capture, radiometry=RelativeCounts())), rgb, thermal)
     assert scores.temperature_range_c is None and scores.count_range == (10.0, 40.0)
     assert set(scores.thermal.known()) == {"psnr", "ssim", "mae_counts"}
     assert any("counts" in line for line in metric_lines(scores)) and not any("°C" in line for line in metric_lines(scores))

@@ -33,6 +33,7 @@ from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
+from rtgs.records.radiometry import CELSIUS
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
@@ -113,7 +114,7 @@ def plane_scene() -> tuple[Scene, RgbModel]:
         tuple(frame(n) for n in names),
         np.ones((RGB.height, RGB.width), bool),
         np.ones((THERMAL.height, THERMAL.width), bool),
-        "celsius",
+        CELSIUS,
         None,
     )
     points = SparsePoints(wall.means[::7].double().numpy(), np.zeros((len(wall.means[::7]), 3), np.float32))

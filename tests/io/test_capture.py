@@ -31,6 +31,7 @@ from rtgs.records.radiometry import (
     ObjectParameters,
     PlanckCalibration,
     PlanckRadiometry,
+    RelativeCounts,
 )
 from rtgs.records.rig import CalibrationStd, Rig
 from rtgs.records.scene import Scene
@@ -114,7 +115,7 @@ def test_a_capture_without_poses(root: Path) -> None:
     assert capture.warnings == ()
     assert capture.frames[0].rgb.shape == (48, 64, 3)
     assert capture.frames[0].rgb.dtype == capture.frames[0].thermal.dtype == np.float32
-    assert capture.thermal_unit == "celsius"
+    assert capture.radiometry.unit == "°C"
     np.testing.assert_allclose(capture.frames[3].thermal, 4803 * 0.025 - 100, atol=1e-5)
     assert capture.raw_rig.rgb == RGB
     assert capture.rig.rgb == RGB.pinhole()
@@ -180,7 +181,7 @@ def test_planck_constants_and_object_parameters(root: Path) -> None:
     use_planck(root)
     assert read_rig(root / "rig.json").radiometry == PLANCK
     capture = load_capture(root)
-    assert capture.thermal_unit == "celsius" and capture.warnings == ()
+    assert capture.radiometry.unit == "°C" and capture.warnings == ()
     assert capture.frames[2].thermal.dtype == np.float32
     np.testing.assert_allclose(capture.frames[2].thermal, 30.02, atol=2e-4)  # the float32 signal of the file: 0.001 counts
 
@@ -231,7 +232,7 @@ def test_unknown_planck_fields_warn(root: Path) -> None:
 def test_without_radiometry_counts_are_relative(root: Path) -> None:
     edit_rig(root, lambda d: (d["thermal"].pop("celsius_per_count"), d["thermal"].pop("celsius_offset")))
     capture = load_capture(root)
-    assert capture.thermal_unit == "relative"
+    assert capture.radiometry == RelativeCounts() and capture.radiometry.unit == "counts"
     np.testing.assert_array_equal(capture.frames[2].thermal, 4802)
 
 
@@ -284,7 +285,7 @@ def test_how_well_the_rig_is_calibrated_comes_through(root: Path, tmp_path: Path
     expected = CalibrationStd(baseline_length=0.01, rotation_rad=np.radians(0.1))
     assert capture.rig.calibration_std == capture.raw_rig.calibration_std == expected
     assert any("uncertainty.scale is not a known field" in w for w in capture.warnings)
-    write_rig(tmp_path / "rig.json", capture.raw_rig, None)
+    write_rig(tmp_path / "rig.json", capture.raw_rig, RelativeCounts())
     again = read_rig(tmp_path / "rig.json").rig.calibration_std
     assert again is not None and again.rotation_rad == pytest.approx(expected.rotation_rad, rel=1e-12)
 
@@ -715,7 +716,7 @@ def test_arco() -> None:
     capture = load_capture(ARCO, rgb_max_side=480)
     assert len(capture.frames) == 40
     assert capture.warnings == ()
-    assert capture.thermal_unit == "celsius"
+    assert capture.radiometry.unit == "°C"
     assert capture.poses is not None and len(capture.poses.world_from_rgb) == 40
     assert capture.poses.points is not None and len(capture.poses.points) == 20997
     median_c = np.median([frame.thermal for frame in capture.frames])

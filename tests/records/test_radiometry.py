@@ -11,11 +11,13 @@ from rtgs.base.errors import RtgsError
 from rtgs.records.radiometry import (
     CENTIKELVIN,
     Atmosphere,
+    CelsiusRadiometry,
     CountsToCelsius,
     ObjectParameters,
     PlanckCalibration,
     PlanckRadiometry,
     Radiometry,
+    RelativeCounts,
 )
 
 # Constants of three cameras, as their files give them: a T640, an E40 and an XT2.
@@ -29,7 +31,7 @@ PARAMETERS = (
     ObjectParameters(0.95, 20.0, 20.0, 1.0, 0.5, 20.0, 1.0),
     ObjectParameters(0.6, -30.0, 5.0, 40.0, 0.8, 35.0, 0.85),
 )
-MODELS: tuple[Radiometry, ...] = (
+MODELS: tuple[CelsiusRadiometry, ...] = (
     CENTIKELVIN,
     CountsToCelsius(0.025, -100.0),
     *(PlanckRadiometry(c, p) for c in CALIBRATIONS for p in PARAMETERS),
@@ -38,7 +40,7 @@ TEMPERATURES_C = np.array([-60.0, -20.0, 0.0, 20.0, 36.6, 100.0, 350.0])
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_counts_and_celsius_are_inverse(model: Radiometry) -> None:
+def test_counts_and_celsius_are_inverse(model: CelsiusRadiometry) -> None:
     # celsius() is float32: half a unit in the last place at 350 °C is 1.5e-5.
     np.testing.assert_allclose(model.celsius(model.counts(TEMPERATURES_C)), TEMPERATURES_C, atol=2e-5)
 
@@ -52,7 +54,7 @@ def test_black_body_is_inverse_in_float64(calibration: PlanckCalibration) -> Non
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_more_counts_are_warmer(model: Radiometry) -> None:
+def test_more_counts_are_warmer(model: CelsiusRadiometry) -> None:
     counts = np.linspace(*model.counts(np.array([-60.0, 350.0])), 1000)
     assert (np.diff(model.celsius(counts)) > 0).all()
 
@@ -175,3 +177,10 @@ def test_air_beyond_the_formula_is_refused() -> None:
     ):
         with pytest.raises(RtgsError, match="transmission of air"):
             PlanckRadiometry(CALIBRATIONS[0], replace(PARAMETERS[1], **air))
+
+
+@pytest.mark.parametrize(("radiometry", "unit", "suffix"), [(RelativeCounts(), "counts", "counts"), (CENTIKELVIN, "°C", "c")])
+def test_a_radiometry_says_the_unit_of_its_values(radiometry: Radiometry, unit: str, suffix: str) -> None:
+    values = radiometry.values(np.array([0, 30000], np.uint16))
+    assert (radiometry.unit, radiometry.suffix, values.dtype) == (unit, suffix, np.float32)
+    np.testing.assert_allclose(values, [0, 30000] if unit == "counts" else [-273.15, 26.85], atol=1e-4)

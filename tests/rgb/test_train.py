@@ -23,6 +23,7 @@ from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
+from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
@@ -65,7 +66,7 @@ def synthetic() -> Scene:
 def assembled(frames: list[Frame], poses: dict[str, SE3], points: SparsePoints, mask: np.ndarray | None = None) -> Scene:
     rig = Rig(CAMERA, CAMERA, SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
     everywhere = np.ones((40, 40), bool)
-    capture = Capture(Path(), rig, rig, tuple(frames), everywhere if mask is None else mask, everywhere, "relative", None)
+    capture = Capture(Path(), rig, rig, tuple(frames), everywhere if mask is None else mask, everywhere, RelativeCounts(), None)
     return Scene(capture, poses, points, {})
 
 

@@ -593,7 +593,7 @@ def test_render_under_another_emissivity(capture: Path, run: Path, tmp_path: Pat
     arguments = ["render", str(run), "--frames", "frame_001", "--out"]
     pipeline, views = Pipeline(RunFolder(run), Recorder()), {}
     assert recorded([*arguments, str(tmp_path / "no"), "--emissivity", "0.7"])[1] == 2  # linear counts
-    scene = replace(pipeline.scene, capture=replace(pipeline.capture, planck=radiometry))
+    scene = replace(pipeline.scene, capture=replace(pipeline.capture, radiometry=radiometry))
     for name, changes in (("as", {}), ("other", {"emissivity": 0.7, "reflected_c": -10.0})):
         render_views(pipeline.folder, scene, tmp_path / name, ["frame_001"], viewpoint="thermal", **changes)  # type: ignore[arg-type]
         views[name] = np.asarray(Image.open(tmp_path / name / "frame_001.thermal.tiff"))

@@ -18,7 +18,14 @@ SCALE_BOUND = 0.01  # measured: 0.0027
 def test_temperatures_and_scale_of_a_run_are_those_of_the_scene(tmp_path: Path) -> None:
     """Held-out thermal views, drawn by the command that a user has, against the scene's own temperatures without noise."""
     capture, run, views = tmp_path / "capture", tmp_path / "run", tmp_path / "views"
-    main(["synth", "--out", str(capture), *"--scene lego --frames 24 --size 96 --supersampling 1 --seed 3".split()])
+    main(
+        [
+            "synth",
+            "--out",
+            str(capture),
+            *["--scene", "lego", "--frames", "24", "--size", "96", "--supersampling", "1", "--seed", "3"],
+        ]
+    )
     main(["run", str(capture), "--out", str(run), "--rgb.steps", "500"])
     names = [f"frame_{i:03d}" for i in range(0, 24, 8)]
     main(["render", str(run), "--out", str(views), "--viewpoint", "thermal", "--frames", *names])

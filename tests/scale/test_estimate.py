@@ -26,6 +26,7 @@ from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
+from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import CalibrationStd, Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
@@ -75,7 +76,7 @@ def assembled(poses: list[SE3], thermal: list[np.ndarray], rig: Rig = RIG, rgb: 
         frames=frames,
         rgb_mask=np.ones((rig.rgb.height, rig.rgb.width), bool),
         thermal_mask=np.ones((rig.thermal.height, rig.thermal.width), bool),
-        thermal_unit="relative",
+        radiometry=RelativeCounts(),
         poses=None,
     )
     return Scene(capture, {f.name: p for f, p in zip(frames, poses, strict=True)}, NO_POINTS, {})

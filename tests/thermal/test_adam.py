@@ -21,7 +21,7 @@ from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import LinearRange
+from rtgs.records.radiometry import CELSIUS, LinearRange, RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
@@ -45,7 +45,7 @@ def assembled(poses: list[SE3], thermal: list[np.ndarray], *, unit: str = "celsi
         frames=tuple(Frame(f"{i:03d}", blank, image) for i, image in enumerate(thermal)),
         rgb_mask=np.ones(blank.shape[:2], bool),
         thermal_mask=np.ones((RIG.thermal.height, RIG.thermal.width), bool) if mask is None else mask,
-        thermal_unit="celsius" if unit == "celsius" else "relative",
+        radiometry=CELSIUS if unit == "celsius" else RelativeCounts(),
         poses=None,
     )
     none = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
@@ -209,7 +209,7 @@ def test_temperature_scale_does_not_matter() -> None:
 
 def test_relative_captures_say_counts() -> None:
     scene, rgb, _ = known()
-    scene = with_thermal(scene, {}, thermal_unit="relative")
+    scene = with_thermal(scene, {}, radiometry=RelativeCounts())
     scores = evaluate(scene, replace(rgb, gaussians=rgb.gaussians), fit_thermal(scene, rgb, SFM_PER_METRE, QUICK))
     assert scores.thermal.known()["mae_counts"] > 0 and scores.count_range is not None
     assert scores.thermal.mae_c is None and scores.temperature_range_c is None

@@ -19,6 +19,7 @@ from rtgs.io.capture import load_capture
 from rtgs.io.rig import write_rig
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.radiometry import (
+    CELSIUS,
     CENTIKELVIN,
     CountsToCelsius,
     LinearRange,
@@ -44,7 +45,7 @@ def mixed() -> tuple[Scene, RgbModel, ThermalModel]:
     scene, rgb, truth = ring()
     truth = replace(truth, range=HOT, color_range=PlanckRange.of(CALIBRATION, HOT))
     images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
-    return with_thermal(scene, images, planck=CAMERA), rgb, truth
+    return with_thermal(scene, images, radiometry=CAMERA), rgb, truth
 
 
 @lru_cache(maxsize=1)
@@ -71,7 +72,7 @@ def test_mixed_pixels_are_right_in_radiance_and_wrong_in_celsius() -> None:
     scene, rgb, _ = mixed()
     model = fitted()
     assert isinstance(model.colors, PlanckRange)
-    in_celsius = fit_thermal(with_thermal(scene, {}, planck=None), rgb, SFM_PER_METRE)
+    in_celsius = fit_thermal(with_thermal(scene, {}, radiometry=CELSIUS), rgb, SFM_PER_METRE)
     right, wrong = held_out_error_c(scene, model), held_out_error_c(scene, in_celsius)
     assert right < 0.2 and wrong > 2.0 * right
 
@@ -81,7 +82,7 @@ def test_another_emissivity_needs_no_other_fit() -> None:
     scene, rgb, _ = mixed()
     other = replace(CAMERA, parameters=replace(CAMERA.parameters, emissivity=0.7, reflected_c=-10.0))
     changed = {f.name: CAMERA.reevaluated(f.thermal, emissivity=0.7, reflected_c=-10.0) for f in scene.frames}
-    again = fit_thermal(with_thermal(scene, changed, planck=other), rgb, SFM_PER_METRE)
+    again = fit_thermal(with_thermal(scene, changed, radiometry=other), rgb, SFM_PER_METRE)
     pose = scene.thermal_from_world("000", SFM_PER_METRE)
     before, after = fitted().render(RIG.thermal, pose), again.render(RIG.thermal, pose)
     assert np.abs(after - before).mean() > 5.0
@@ -142,7 +143,7 @@ def test_celsius_to_16_bit_capture_to_model_and_back(radiometry: CountsToCelsius
         assert counts.min() >= 0 and counts.max() < 2**16
         Image.fromarray(counts.astype(np.uint16)).save(tmp_path / "thermal" / f"{f.name}.png")
     capture = load_capture(tmp_path)
-    assert (capture.planck == radiometry) == isinstance(radiometry, PlanckRadiometry)
+    assert capture.radiometry == radiometry
     loaded = replace(scene, capture=capture)
     assert isinstance(color_range(loaded), PlanckRange) == isinstance(radiometry, PlanckRadiometry)
     model = fit_thermal(loaded, rgb, SFM_PER_METRE)

@@ -13,7 +13,8 @@ from rtgs.images.pictures import edge_overlay, error_map, palette, save_png, to_
 from rtgs.metrics.basic import mae, psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.records.scene import Frame, Scene
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
 
 RGB_ERROR_LIMIT = 0.25
 THERMAL_ERROR_SHARE = 0.2  # of the range
@@ -66,7 +67,7 @@ def evaluate(
         if progress is not None:
             progress(done + 1, len(frames), frame.name)
     models = {key: ModelScores.of(per_frame) for key, per_frame in scores.items()}
-    span, celsius = (thermal_model.range.lo, thermal_model.range.hi), capture.thermal_unit == "celsius"
+    span, celsius = (thermal_model.range.lo, thermal_model.range.hi), capture.radiometry.unit == "°C"
     return Evaluation(
         models["rgb"],
         models["thermal"],
@@ -89,16 +90,14 @@ def _thermal_scores(
     mask = scene.capture.thermal_mask
     likeness = _likeness(model.range.normalise(temperature), model.range.normalise(reference), mask, lpips)
     error = mae(temperature, reference, mask=mask)
-    if scene.capture.thermal_unit == "celsius":
-        return Scores(**likeness, mae_c=error)
-    return Scores(**likeness, mae_counts=error)
+    return Scores(**likeness, **{f"mae_{scene.capture.radiometry.suffix}": error})
 
 
 def _draw_thermal(folder: Path, frame: Frame, temperature: np.ndarray, scene: Scene, model: ThermalModel) -> None:
     """Reference, render and error of one view; invalid pixels of the sensor are gray."""
     reference = np.where(scene.capture.thermal_mask, frame.thermal, np.nan)
     lo, hi = model.range.lo, model.range.hi
-    unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
+    unit = scene.capture.radiometry.unit
     save_png(folder / f"{frame.name}.reference.png", palette(reference, lo, hi))
     save_png(folder / f"{frame.name}.render.png", palette(temperature, lo, hi))
     save_png(folder / f"{frame.name}.error.png", error_map(temperature, reference, THERMAL_ERROR_SHARE * (hi - lo), unit))

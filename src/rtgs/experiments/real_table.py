@@ -127,7 +127,7 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
         RtgsError: the region has no such pixel.
     """
     mask, span = common_mask(scene, rows), training_range(scene)
-    unit = "c" if scene.capture.thermal_unit == "celsius" else "counts"
+    radiometry = scene.capture.radiometry
     nets, missing = _networks(mask)
     frames: dict[str, dict[str, dict[str, float]]] = {}
     means: dict[str, dict[str, float]] = {}
@@ -141,7 +141,7 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
                 "psnr_db": psnr(a, b, mask=mask),
                 "ssim": ssim_index(a, b, mask=mask),
                 **{key: net(a, b, mask=mask) for key, net in nets.items()},
-                f"mae_{unit}": mae(image, references[name], mask=mask),
+                f"mae_{radiometry.suffix}": mae(image, references[name], mask=mask),
             }
         means[row.key] = {key: float(np.mean([s[key] for s in own.values()])) for key in next(iter(own.values()))}
         progress(done + 1, 2 * len(ran), row.title)
@@ -156,10 +156,13 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
                 f"--region {left} {top} {right} {bottom}: no row's pixels are compared there; choose one further inside."
             )
         for row in ran:
-            means[row.key][f"region_{unit}"] = float(row.images[name][inside].mean())
+            means[row.key][f"region_{radiometry.suffix}"] = float(row.images[name][inside].mean())
         shows = float(references[name][inside].mean())
-        note = f"Region: mean over x {left} to {right}, y {top} to {bottom} of {name}; the thermal image shows {shows:.2f} {_unit(unit)}."
-    return Scored(frames, means, float(mask.mean()), span.lo, span.hi, _unit(unit), note, missing)
+        note = (
+            f"Region: mean over x {left} to {right}, y {top} to {bottom} of {name}; "
+            f"the thermal image shows {shows:.2f} {radiometry.unit}."
+        )
+    return Scored(frames, means, float(mask.mean()), span.lo, span.hi, radiometry.unit, note, missing)
 
 
 def _networks(mask: NDArray[np.bool_]) -> tuple[dict[str, Lpips], list[str]]:
@@ -234,10 +237,6 @@ def _picture(thermal: NDArray[np.float32], rows: Sequence[Row], name: str, mask:
 def shown(name: str, value: float) -> str:
     """A score as tables have it."""
     return f"{value:.{DIGITS.get(name, 3)}f}"
-
-
-def _unit(unit: str) -> str:
-    return "°C" if unit == "c" else "counts"
 
 
 def _csv(table: Sequence[Sequence[str]]) -> str:

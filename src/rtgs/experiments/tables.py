@@ -18,7 +18,7 @@ from rtgs.experiments.records import ExperimentFolder, Record
 from rtgs.experiments.rivals import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
 from rtgs.experiments.scenery import scene_facts
 from rtgs.experiments.variants import FAR, FAR_SCENE, REFERENCE, ROWS, Variant
-from rtgs.records.scene import HELD_OUT_EVERY
+from rtgs.records.capture import Split
 
 SUCCESS_PCT = 2.0
 RUN = f"{MUTUAL_INFORMATION.key}_run"  # Adam that renders at every step, to check a replay
@@ -165,7 +165,7 @@ def scene_table(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> 
 def _where(records: Sequence[Record], config: SyntheticExperimentConfig) -> str:
     trials = {(r.scene, r.seed) for r in records if r.scene != FAR_SCENE}
     scenes, seeds = len({scene for scene, _ in trials}), len({seed for _, seed in trials})
-    training = config.frames - len(range(0, config.frames, HELD_OUT_EVERY))
+    training = config.frames - len(Split().held_out_names([str(i) for i in range(config.frames)]))
     return f" at {config.size} × {config.size}, {config.frames} pairs of which {training} for training, " + (
         f"{scenes} scenes × {seeds} seeds" if len(trials) == scenes * seeds else f"{len(trials)} trials on {scenes} scenes"
     )

@@ -66,7 +66,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
 
     def load(name: str) -> Frame:
         rgb = _shrink(rgb_undistortion.apply(read_rgb(rgb_files[name])), rgb_size)
-        thermal = _temperatures(thermal_files[name], rig_file.radiometry)
+        thermal = _thermal_values(thermal_files[name], rig_file.radiometry)
         return Frame(name, rgb, thermal_undistortion.apply(thermal))
 
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
@@ -82,10 +82,9 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
         frames=frames,
         rgb_mask=rgb_mask,
         thermal_mask=thermal_undistortion.mask,
-        thermal_unit="relative" if rig_file.radiometry is None else "celsius",
+        radiometry=rig_file.radiometry,
         poses=poses,
         warnings=tuple(warnings),
-        planck=rig_file.radiometry if isinstance(rig_file.radiometry, PlanckRadiometry) else None,
     )
 
 
@@ -170,17 +169,14 @@ def _compare(source: Path, camera: Camera, calibrated: Camera, warnings: list[st
         warnings.append(f"RGB intrinsics of {source} and rig.json differ by more than 1 % ({said}); those of {source} are used.")
 
 
-def _temperatures(path: Path, radiometry: Radiometry | None) -> NDArray[np.float32]:
-    counts = read_counts(path)
-    if radiometry is None:
-        return counts.astype(np.float32)
-    celsius = radiometry.celsius(counts)
-    if isinstance(radiometry, PlanckRadiometry) and celsius.min() <= -ZERO_CELSIUS_K:
+def _thermal_values(path: Path, radiometry: Radiometry) -> NDArray[np.float32]:
+    values = radiometry.values(read_counts(path))
+    if isinstance(radiometry, PlanckRadiometry) and values.min() <= -ZERO_CELSIUS_K:
         raise RtgsError(
-            f"{path}: under thermal.planck and thermal.object of rig.json, {np.mean(celsius <= -ZERO_CELSIUS_K):.1%} of its pixels "
+            f"{path}: under thermal.planck and thermal.object of rig.json, {np.mean(values <= -ZERO_CELSIUS_K):.1%} of its pixels "
             "give less than what is reflected and emitted on the way. Is object.emissivity too low, or object.reflected_c too high?"
         )
-    return celsius
+    return values
 
 
 def _size_within(camera: Camera, max_side: int) -> tuple[int, int]:

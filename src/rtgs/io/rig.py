@@ -22,6 +22,7 @@ from rtgs.records.radiometry import (
     PlanckCalibration,
     PlanckRadiometry,
     Radiometry,
+    RelativeCounts,
 )
 from rtgs.records.rig import CalibrationStd, Rig
 
@@ -42,12 +43,12 @@ class RigFile:
 
     Attributes:
         rig: cameras with their lenses; translation in metres.
-        radiometry: None when the file gives none: counts are relative intensity then.
+        radiometry: what counts mean.
         warnings: fields that were not understood, an implausible baseline.
     """
 
     rig: Rig
-    radiometry: Radiometry | None
+    radiometry: Radiometry
     warnings: tuple[str, ...] = ()
 
 
@@ -76,7 +77,7 @@ def read_rig(path: Path) -> RigFile:
     return RigFile(rig, radiometry, tuple(warnings))
 
 
-def write_rig(path: Path, rig: Rig, radiometry: Radiometry | None) -> None:
+def write_rig(path: Path, rig: Rig, radiometry: Radiometry) -> None:
     """Write `rig.json` so that `read_rig` gives the same records."""
     thermal = camera_to_json(rig.thermal) | radiometry_to_json(radiometry)
     data = {"rgb": camera_to_json(rig.rgb), "thermal": thermal, "rgb_from_thermal": rig.rgb_from_thermal.matrix().tolist()}
@@ -225,7 +226,7 @@ def without_radiometry(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[st
     return {**data, "thermal": cameras}, {key: value for key, value in thermal.items() if key in _RADIOMETRY}
 
 
-def _radiometry(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> Radiometry | None:
+def _radiometry(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> Radiometry:
     given = [key for key in (*_LINEAR, "unit", "planck") if key in thermal]
     ways = [key for key in given if key != "celsius_offset" or "celsius_per_count" not in given]  # those two are one way
     if len(ways) > 1:
@@ -233,7 +234,7 @@ def _radiometry(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> 
     if "object" in thermal and "planck" not in thermal:
         raise RtgsError(f"{path}: thermal.object needs thermal.planck: object parameters change a signal, not a temperature.")
     if not given:
-        return None
+        return RelativeCounts()
     if "planck" in thermal:
         return _planck(path, thermal, warnings)
     if "unit" in thermal:
@@ -271,9 +272,9 @@ def _planck(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> Plan
         raise RtgsError(f"{path}: thermal.{error}") from error
 
 
-def radiometry_to_json(radiometry: Radiometry | None) -> dict[str, Any]:
+def radiometry_to_json(radiometry: Radiometry) -> dict[str, Any]:
     """The fields of `thermal` that give °C; none where counts are relative."""
-    if radiometry is None:
+    if isinstance(radiometry, RelativeCounts):
         return {}
     if isinstance(radiometry, CountsToCelsius):
         return asdict(radiometry)

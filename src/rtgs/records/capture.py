@@ -5,16 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
-from rtgs.records.radiometry import PlanckRadiometry
+from rtgs.records.radiometry import Radiometry
 from rtgs.records.rig import Rig
 
 
@@ -25,7 +25,7 @@ class Frame:
     Attributes:
         name: common stem of both files.
         rgb: `[H, W, 3]` float32 in [0, 1].
-        thermal: `[h, w]` float32, °C (or counts, where `Capture.thermal_unit` is "relative").
+        thermal: `[h, w]` float32, in the unit that `Capture.radiometry` names: °C, or counts.
     """
 
     name: str
@@ -62,8 +62,7 @@ class Capture:
         rig: pinhole cameras of the images in `frames`.
         frames: in name order; all of them, registered or not.
         rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill.
-        thermal_unit: "celsius", or "relative" when the rig file gives no radiometry.
-        planck: how °C came out of the sensor's signal, where `rig.json` has Planck constants.
+        radiometry: how the files' counts became the values of `Frame.thermal`, and the unit of those.
         poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
         warnings: what a person should know and can live with.
     """
@@ -74,7 +73,39 @@ class Capture:
     frames: tuple[Frame, ...]
     rgb_mask: NDArray[np.bool_]
     thermal_mask: NDArray[np.bool_]
-    thermal_unit: Literal["celsius", "relative"]
+    radiometry: Radiometry
     poses: Poses | None
     warnings: tuple[str, ...] = ()
-    planck: PlanckRadiometry | None = None
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which frames no fit may see, and which of the others choose settings.
+
+    Attributes:
+        held_out: the names of the frames that only the evaluation sees; or n, for frames 0, n, 2n, … of the capture in name order,
+            registered or not.
+        validation: the names of the training frames that choose settings; or n, for frames n // 2, n // 2 + n, … of the training
+            frames in name order.
+
+    Raises:
+        RtgsError: an n below 2, which would leave no frame for the fit.
+    """
+
+    held_out: int | frozenset[str] = 8
+    validation: int | frozenset[str] = 8
+
+    def __post_init__(self) -> None:
+        for name in ("held_out", "validation"):
+            value = getattr(self, name)
+            if isinstance(value, int) and value < 2:
+                raise RtgsError(f"split.{name} is {value}; one frame in so many is taken, so it is at least 2.")
+
+    def held_out_names(self, names: Sequence[str]) -> frozenset[str]:
+        """Of a capture's frames in name order."""
+        return frozenset(names[:: self.held_out]) if isinstance(self.held_out, int) else self.held_out
+
+    def validation_names(self, training: Sequence[str]) -> frozenset[str]:
+        """Of the training frames in name order."""
+        every = self.validation
+        return frozenset(training[every // 2 :: every]) if isinstance(every, int) else every

@@ -1,11 +1,14 @@
-"""Counts and degrees Celsius: linear scales, and FLIR's signal model with its object parameters."""
+"""What a thermal camera's counts mean: relative intensity, a linear scale of °C, or FLIR's signal model with its object parameters.
+
+All three have `unit` and `suffix`, and `values`, which takes counts to that unit.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +16,33 @@ from numpy.typing import NDArray
 from rtgs.base.errors import RtgsError
 
 ZERO_CELSIUS_K = 273.15
+Unit: TypeAlias = Literal["°C", "counts"]
+Suffix: TypeAlias = Literal["c", "counts"]
+
+
+@dataclass(frozen=True)
+class RelativeCounts:
+    """Counts that nothing turns into temperatures.
+
+    Attributes:
+        unit: of thermal images, for people.
+        suffix: how names of quantities in that unit end, such as the metric `mae_counts`.
+    """
+
+    unit: ClassVar[Unit] = "counts"
+    suffix: ClassVar[Suffix] = "counts"
+
+    def values(self, counts: NDArray[np.generic]) -> NDArray[np.float32]:
+        """The counts themselves, any shape."""
+        return counts.astype(np.float32)
 
 
 @dataclass(frozen=True)
 class CountsToCelsius:
     """A sensor's linear scale: `temperature_c = count · celsius_per_count + celsius_offset`."""
 
+    unit: ClassVar[Unit] = "°C"
+    suffix: ClassVar[Suffix] = "c"
     celsius_per_count: float
     celsius_offset: float
 
@@ -26,12 +50,17 @@ class CountsToCelsius:
         """°C of counts of any shape; computed in float64, since 16-bit counts times 0.01 lose digits in float32."""
         return (counts.astype(np.float64) * self.celsius_per_count + self.celsius_offset).astype(np.float32)
 
+    def values(self, counts: NDArray[np.generic]) -> NDArray[np.float32]:
+        """`celsius`, under the name that all radiometries share."""
+        return self.celsius(counts)
+
     def counts(self, temperature_c: NDArray[np.floating]) -> NDArray[np.float64]:
         """The inverse, not rounded."""
         return (temperature_c.astype(np.float64) - self.celsius_offset) / self.celsius_per_count
 
 
 CENTIKELVIN = CountsToCelsius(celsius_per_count=0.01, celsius_offset=-ZERO_CELSIUS_K)
+CELSIUS = CountsToCelsius(celsius_per_count=1.0, celsius_offset=0.0)  # of files that hold °C
 
 
 @dataclass(frozen=True)
@@ -152,6 +181,8 @@ class PlanckRadiometry:
         RtgsError: air so long, hot and humid that FLIR's formula for its transmission leaves 0 … 1.
     """
 
+    unit: ClassVar[Unit] = "°C"
+    suffix: ClassVar[Suffix] = "c"
     calibration: PlanckCalibration
     parameters: ObjectParameters
 
@@ -188,6 +219,10 @@ class PlanckRadiometry:
         gain, offset = self._gain_offset
         return self.calibration.blackbody_celsius((counts.astype(np.float64) - offset) / gain).astype(np.float32)
 
+    def values(self, counts: NDArray[np.generic]) -> NDArray[np.float32]:
+        """`celsius`, under the name that all radiometries share."""
+        return self.celsius(counts)
+
     def counts(self, temperature_c: NDArray[np.floating]) -> NDArray[np.float64]:
         """The inverse, not rounded."""
         gain, offset = self._gain_offset
@@ -206,7 +241,8 @@ class PlanckRadiometry:
         return replace(self, parameters=replace(self.parameters, **parameters)).celsius(self.counts(temperature_c))
 
 
-Radiometry: TypeAlias = CountsToCelsius | PlanckRadiometry
+CelsiusRadiometry: TypeAlias = CountsToCelsius | PlanckRadiometry
+Radiometry: TypeAlias = CelsiusRadiometry | RelativeCounts
 
 
 @dataclass(frozen=True)

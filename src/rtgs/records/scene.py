@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3, axis_angle_from_rotation, rotation_from_axis_angle
-from rtgs.records.capture import Capture, Frame, SparsePoints
+from rtgs.records.capture import Capture, Frame, SparsePoints, Split
 from rtgs.records.rig import Rig
-
-HELD_OUT_EVERY = 8  # frames 0, 8, 16, … in name order
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +23,14 @@ class Scene:
         world_from_rgb: pose by name, of the frames that were registered. The world and its unit are SfM's.
         points: sparse points, possibly none.
         failures: name → reason, of the frames that were not.
+        split: which frames are for training, validation and evaluation.
     """
 
     capture: Capture
     world_from_rgb: Mapping[str, SE3]
     points: SparsePoints
     failures: Mapping[str, str]
+    split: Split = field(default_factory=Split)
 
     @property
     def rig(self) -> Rig:
@@ -43,14 +43,22 @@ class Scene:
 
     @cached_property
     def _held_out_names(self) -> frozenset[str]:
-        return frozenset(f.name for f in self.capture.frames[::HELD_OUT_EVERY])
+        return self.split.held_out_names([f.name for f in self.capture.frames])
 
     @cached_property
     def train_frames(self) -> tuple[Frame, ...]:
+        """Registered frames that a fit may see, those for validation included."""
         return tuple(f for f in self.frames if f.name not in self._held_out_names)
 
     @cached_property
+    def validation_frames(self) -> tuple[Frame, ...]:
+        """The training frames that choose settings."""
+        names = self.split.validation_names([f.name for f in self.train_frames])
+        return tuple(f for f in self.train_frames if f.name in names)
+
+    @cached_property
     def held_out_frames(self) -> tuple[Frame, ...]:
+        """Registered frames that only the evaluation sees."""
         return tuple(f for f in self.frames if f.name in self._held_out_names)
 
     def rgb_from_world(self, name: str) -> SE3:

@@ -143,7 +143,7 @@ class RunFolder:
                 "registered": len(scene.frames),
                 "failures": dict(scene.failures),
                 "warnings": list(capture.warnings),
-                "thermal_unit": capture.thermal_unit,
+                "thermal_unit": "celsius" if capture.radiometry.unit == "°C" else "relative",
                 "rgb_size": [scene.rig.rgb.width, scene.rig.rgb.height],
                 "thermal_size": [scene.rig.thermal.width, scene.rig.thermal.height],
                 "baseline_m": scene.rig.baseline_m,

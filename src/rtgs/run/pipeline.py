@@ -186,7 +186,7 @@ class Pipeline:
 
     def _thermal(self) -> dict[str, float]:
         scene, model, config = self.scene, self.folder.read_rgb(), self.config.thermal
-        sfm_per_metre, celsius = self.folder.read_scale().sfm_per_metre, scene.capture.thermal_unit == "celsius"
+        sfm_per_metre, celsius = self.folder.read_scale().sfm_per_metre, scene.capture.radiometry.unit == "°C"
 
         def fit(progress: Progress) -> ThermalModel:
             fitted = fit_thermal(scene, model, sfm_per_metre, config, progress=progress)

@@ -14,6 +14,7 @@ from PIL import Image
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
 from rtgs.images.pictures import palette, save_png, to_picture, with_colour_bar
+from rtgs.records.radiometry import PlanckRadiometry
 from rtgs.records.scene import Scene
 from rtgs.renderer import render
 from rtgs.run.folder import RunFolder, refuse_own_folders
@@ -50,7 +51,8 @@ def render_views(
         some = ", ".join(list(scene.world_from_rgb)[:3])
         raise RtgsError(f"render: frame {unknown[0]!r} is not in the run; its frames are {some}, …")
     changes = {k: v for k, v in (("emissivity", emissivity), ("reflected_c", reflected_c)) if v is not None}
-    planck = scene.capture.planck
+    radiometry = scene.capture.radiometry
+    planck = radiometry if isinstance(radiometry, PlanckRadiometry) else None
     if changes and planck is None:
         raise RtgsError(
             f"render: {' and '.join(changes)} can be changed where rig.json has planck and object; this capture's temperatures are final."
@@ -59,7 +61,6 @@ def render_views(
         planck.reevaluated(np.zeros(1), **changes)  # limits, before any work
     rgb, thermal, scale = folder.read_rgb(), folder.read_thermal(), folder.read_scale()
     camera = scene.rig.rgb if viewpoint == "rgb" else scene.rig.thermal
-    unit = "°C" if scene.capture.thermal_unit == "celsius" else "counts"
     chosen = list(names) or [f.name for f in scene.frames]
     out.mkdir(parents=True, exist_ok=True)
     written = []
@@ -71,7 +72,7 @@ def render_views(
             temperature = planck.reevaluated(temperature, **changes)
             lo, hi = (float(v) for v in planck.reevaluated(np.array([lo, hi]), **changes))
         save_png(out / f"{name}.rgb.png", to_picture(rgb.render(camera, pose)))
-        save_png(out / f"{name}.thermal.png", with_colour_bar(palette(temperature, lo, hi), lo, hi, unit))
+        save_png(out / f"{name}.thermal.png", with_colour_bar(palette(temperature, lo, hi), lo, hi, radiometry.unit))
         with torch.no_grad():
             view = render(rgb.gaussians, camera, pose, settings=replace(rgb.settings, with_depth=True))
         assert view.depth is not None

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rtgs.maths.geometry import SE3
 from rtgs.records.capture import Frame
-from rtgs.records.radiometry import LinearRange, PlanckRange, ThermalRange
+from rtgs.records.radiometry import LinearRange, PlanckRadiometry, PlanckRange, ThermalRange
 from rtgs.records.scene import Scene
 
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
@@ -27,8 +27,8 @@ def training_range(scene: Scene) -> LinearRange:
 
 def color_range(scene: Scene) -> ThermalRange:
     """What the fitted colours are in: `training_range`, taken in radiance where the capture has Planck constants."""
-    span = training_range(scene)
-    return span if scene.capture.planck is None else PlanckRange.of(scene.capture.planck.calibration, span)
+    span, radiometry = training_range(scene), scene.capture.radiometry
+    return PlanckRange.of(radiometry.calibration, span) if isinstance(radiometry, PlanckRadiometry) else span
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ from rtgs.io.image_files import read_rgb
 from rtgs.io.rig import read_rig, write_rig
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.records.camera import Camera
-from rtgs.records.radiometry import CENTIKELVIN
+from rtgs.records.radiometry import CENTIKELVIN, RelativeCounts
 from rtgs.records.rig import Rig
 
 NAMES = ("FLIR0001", "FLIR0002", "FLIR0003")
@@ -66,7 +66,7 @@ def photographs(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
-    write_rig(tmp_path / "rig.json", RIG, None)
+    write_rig(tmp_path / "rig.json", RIG, RelativeCounts())
     return tmp_path / "rig.json"
 
 
@@ -96,7 +96,7 @@ def test_with_a_rig_the_capture_loads(photographs: Path, rig: Path, tmp_path: Pa
     assert seen == [(i + 1, 6) for i in range(6)]
     capture = load_capture(tmp_path / "out")
     assert [f.name for f in capture.frames] == list(NAMES)
-    assert capture.thermal_unit == "celsius" and capture.warnings == ()
+    assert capture.radiometry.unit == "°C" and capture.warnings == ()
     for i, frame in enumerate(capture.frames):
         np.testing.assert_allclose(frame.thermal, RADIOMETRY.celsius(counts_of(i)), atol=1e-4)
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{frame.name}.tiff")), counts_of(i))
@@ -213,7 +213,7 @@ def test_a_rig_that_looks_elsewhere_than_the_overlay_is_noted(photographs: Path,
     flir_jpeg(photographs / f"{NAMES[0]}.jpg", counts_of(0), fusion=fusion_record(offset=(round(x), 0)))
     # Turned about y by φ the thermal camera looks to where x = f·tan φ; the baseline's parallax is a pixel and a half at most.
     turned = SE3(rotation_from_axis_angle([0.0, np.arctan(6.0 / RGB_FOCAL_PX), 0.0]), RIG.rgb_from_thermal.translation)
-    write_rig(tmp_path / "rig.json", Rig(RIG.rgb, RIG.thermal, turned), None)
+    write_rig(tmp_path / "rig.json", Rig(RIG.rgb, RIG.thermal, turned), RelativeCounts())
     notes = " ".join(import_folder("flir", photographs, tmp_path / "out", rig=tmp_path / "rig.json").notes)
     assert ("OffsetX" in notes) == (x < 0)
     if x < 0:
@@ -257,7 +257,7 @@ def test_what_is_refused_before_anything_is_written(photographs: Path, tmp_path:
     refused(out, run, "FLIR0003.jpg", "100.0% of its pixels")
     last.write_bytes(good)
 
-    write_rig(rig, Rig(RIG.rgb.resized(64, 48), RIG.thermal, RIG.rgb_from_thermal), None)
+    write_rig(rig, Rig(RIG.rgb.resized(64, 48), RIG.thermal, RIG.rgb_from_thermal), RelativeCounts())
     refused(out, run, "rig.json: rgb.width and height say 64×48", "has 32×24")
     rig.unlink()
     refused(out, run, "rig.json: no such file")

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from rtgs.base.errors import RtgsError
 from rtgs.io.cameras.flir import is_flir, opened, read_flir
 from rtgs.io.image_files import read_counts
-from rtgs.records.radiometry import ZERO_CELSIUS_K, CountsToCelsius, Radiometry
+from rtgs.records.radiometry import CELSIUS, ZERO_CELSIUS_K, CelsiusRadiometry
 
 _MAKE, _MODEL, _EXIF_IFD, _FOCAL_LENGTH_35MM = 271, 272, 0x8769, 41989
 _DIAGONAL_35MM = math.hypot(36, 24)
 _VISIBLE_KINDS = ("W", "V")  # wide, visible; Z changes its focal length from shot to shot
-_CELSIUS = CountsToCelsius(1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,7 @@ class DjiImage:
 
     path: Path
     counts: NDArray[np.generic]
-    radiometry: Radiometry
+    radiometry: CelsiusRadiometry
     model: str
     focal_length_px: float | None
 
@@ -86,7 +85,7 @@ def read_dji(path: Path) -> DjiImage:
         raise RtgsError(
             f"{converted}: its lowest value is {temperature_c.min():g}, no temperature in °C. Convert {path.name} again."
         )
-    return DjiImage(path, temperature_c, _CELSIUS, model, focal_length_px(path))
+    return DjiImage(path, temperature_c, CELSIUS, model, focal_length_px(path))
 
 
 def visible_partner(path: Path) -> Path | None:

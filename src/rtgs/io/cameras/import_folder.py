@@ -24,7 +24,7 @@ from rtgs.io.cameras.flir import FlirImage, is_flir, read_flir
 from rtgs.io.image_files import list_images, read_header
 from rtgs.io.rig import RigFile, camera_to_json, radiometry_to_json, read_rig, write_rig
 from rtgs.records.camera import Camera
-from rtgs.records.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
+from rtgs.records.radiometry import ZERO_CELSIUS_K, CelsiusRadiometry, PlanckRadiometry, RelativeCounts
 from rtgs.records.rig import Rig
 
 Brand = Literal["flir", "dji"]
@@ -65,7 +65,7 @@ class _Shot:
     name: str
     source: Path
     counts: NDArray[np.generic]
-    radiometry: Radiometry
+    radiometry: CelsiusRadiometry
     visible: bytes
     suffix: str
     thermal_focal_px: float | None
@@ -88,7 +88,7 @@ class _Facts:
     """What is common to all frames, gathered before anything is written."""
 
     first: Path
-    radiometry: Radiometry
+    radiometry: CelsiusRadiometry
     thermal_size: tuple[int, int]
     rgb_size: tuple[int, int]
     thermal_focal_px: float | None
@@ -301,7 +301,7 @@ def _facts(shots: Iterable[_Shot]) -> _Facts:
     return replace(facts, differing=differing)
 
 
-def _stored(shot: _Shot, radiometry: Radiometry) -> NDArray[np.generic]:
+def _stored(shot: _Shot, radiometry: CelsiusRadiometry) -> NDArray[np.generic]:
     if shot.radiometry == radiometry:
         return shot.counts
     return radiometry.counts(shot.radiometry.celsius(shot.counts)).astype(np.float32)
@@ -341,7 +341,7 @@ def _disagreements(rig_file: RigFile, facts: _Facts) -> list[str]:
                 f"{facts.first.name} have it, ({x:+.0f}, {y:+.0f}) px from the visible picture's centre, at any distance. Is it the rig of "
                 "this camera, and the right way round?"
             )
-    if rig_file.radiometry is not None:
+    if not isinstance(rig_file.radiometry, RelativeCounts):
         notes.append("The rig's own conversion to °C gave way to that of the files.")
     return notes
 
