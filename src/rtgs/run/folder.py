@@ -28,6 +28,7 @@ from rtgs.records.radiometry import Atmosphere, LinearRange, PlanckCalibration, 
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.run.config_file import is_run, read_config
+from rtgs.run.records import CaptureSummary
 from rtgs.scale import ScaleEstimate
 
 Stage = Literal["sfm", "rgb", "scale", "thermal", "evaluate"]
@@ -135,20 +136,7 @@ class RunFolder:
 
     def write_summary(self, scene: Scene) -> None:
         """`capture_summary.json`, for the report."""
-        capture = scene.capture
-        self.write_json(
-            "capture_summary.json",
-            {
-                "frames": len(capture.frames),
-                "registered": len(scene.frames),
-                "failures": dict(scene.failures),
-                "warnings": list(capture.warnings),
-                "thermal_unit": "celsius" if capture.radiometry.unit == "°C" else "relative",
-                "rgb_size": [scene.rig.rgb.width, scene.rig.rgb.height],
-                "thermal_size": [scene.rig.thermal.width, scene.rig.thermal.height],
-                "baseline_m": scene.rig.baseline_m,
-            },
-        )
+        self.write_json("capture_summary.json", CaptureSummary.of(scene))
 
     def write_rgb(self, model: RgbModel) -> None:
         write_ply(self.path / "rgb.ply", model.gaussians)

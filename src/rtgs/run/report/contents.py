@@ -1,0 +1,109 @@
+"""What the report is made from: the records in a run folder. Every one of them may be missing."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import from_json, read_record, read_run_json
+from rtgs.config import RunConfig
+from rtgs.evaluation.records import Evaluation
+from rtgs.records.decision import Decision
+from rtgs.run.config_file import read_config
+from rtgs.run.records import CaptureSummary
+from rtgs.scale import ScaleEstimate
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The records of a run folder. A record that no stage has written yet is None.
+
+    Attributes:
+        path: the run folder.
+        capture: the capture's folder, from `config.json`. settings, version: likewise.
+        decisions: what the thermal stage decided by itself, from `thermal.json`.
+    """
+
+    path: Path
+    capture: Path | None
+    settings: RunConfig | None
+    version: str | None
+    summary: CaptureSummary | None
+    scale: ScaleEstimate | None
+    evaluation: Evaluation | None
+    decisions: tuple[Decision, ...]
+
+    @staticmethod
+    def read(run: Path) -> Contents:
+        """Read what is there.
+
+        Raises:
+            RtgsError: a file cannot be read, or is not what this version writes.
+        """
+        config = _optional(run / "config.json", lambda path: read_config(path.parent))
+        return Contents(
+            path=run,
+            capture=config[0] if config else None,
+            settings=config[1] if config else None,
+            version=_optional(run / "config.json", _version),
+            summary=_optional(run / "capture_summary.json", lambda path: read_record(CaptureSummary, path)),
+            scale=_optional(run / "scale.json", _scale),
+            evaluation=_optional(run / "metrics.json", Evaluation.read),
+            decisions=_optional(run / "thermal.json", _decisions) or (),
+        )
+
+    @property
+    def name(self) -> str:
+        """The capture's name, or the run folder's."""
+        return (self.capture.name if self.capture else "") or self.path.resolve().name
+
+    @property
+    def command(self) -> str:
+        """The command that completes the run. Stages that are complete are not repeated."""
+        return f"rtgs run {shlex.quote(str(self.capture or 'CAPTURE'))} --out {shlex.quote(str(self.path))}"
+
+    @property
+    def unit(self) -> str:
+        """ "°C", or "" where thermal values are relative counts."""
+        return "" if self.summary is not None and self.summary.thermal_unit == "relative" else "°C"
+
+    @property
+    def thermal_range(self) -> tuple[float, float] | None:
+        """The range of thermal scores and pictures, °C or counts."""
+        return None if self.evaluation is None else self.evaluation.thermal_range
+
+    @property
+    def baseline_m(self) -> float | None:
+        """Distance of the two cameras in metres, as used for the scale; else as the capture states it."""
+        found = (self.scale.baseline_m if self.scale else None) or (self.summary.baseline_m if self.summary else None)
+        return found or None
+
+
+def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
+    return read(path) if path.is_file() else None
+
+
+def _version(path: Path) -> str | None:
+    version = read_run_json(path).get("version")
+    return None if version is None else str(version)
+
+
+def _scale(path: Path) -> ScaleEstimate:
+    data = read_run_json(path)
+    try:
+        return ScaleEstimate.from_json(data)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise RtgsError(f"{path}: not a scale estimate of this version ({error!r}); remove it and run again.") from error
+
+
+def _decisions(path: Path) -> tuple[Decision, ...]:
+    data = read_run_json(path)
+    if not isinstance(data, dict) or not isinstance(data.get("decisions") or [], list):
+        raise RtgsError(f"{path}: not a thermal model's record; remove it and run again.")
+    return tuple(from_json(Decision, decision, str(path)) for decision in data.get("decisions") or [])

@@ -1,0 +1,44 @@
+"""Section: what the thermal fit decided by itself, and on which evidence."""
+
+from __future__ import annotations
+
+import html
+
+from rtgs.records.decision import Decision
+from rtgs.run.report.contents import Contents
+from rtgs.run.report.pieces import section
+from rtgs.run.report.values import minus
+
+_COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after", "Gain needed")
+
+
+def decisions_section(run: Contents) -> str:
+    """A table of the decisions in `thermal.json`; "" where none are recorded."""
+    if not run.decisions:
+        return ""
+    head = "".join(f"<th>{column}</th>" for column in _COLUMNS)
+    rows = "".join(_row(decision) for decision in run.decisions)
+    note = (
+        "<p>The thermal fit makes these choices by itself. It sets some training frames aside, fits the others with and without "
+        "what is decided about, and compares the mean error on the frames set aside. Held-out frames are not used.</p>"
+    )
+    table = f'<table class="decisions"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
+    return section("What the thermal fit decided", f'{note}<div class="wide">{table}</div>')
+
+
+def _row(decision: Decision) -> str:
+    needed = "–" if decision.threshold is None else f"{100 * decision.threshold:.3g} %"
+    cells = [html.escape(c) for c in (decision.choice, decision.reason, _errors(decision), needed)]
+    # The heading of each cell stands in front of it where the screen is too narrow for columns.
+    body = "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(_COLUMNS[1:], cells, strict=True))
+    return f"<tr><th>{html.escape(decision.name)}</th>{body}</tr>"
+
+
+def _errors(decision: Decision) -> str:
+    """ "0.412 → 0.395 °C (−4.1 %)"; one number where only one was measured."""
+    before, after, unit = decision.error_before, decision.error_after, f" {decision.unit}" if decision.unit else ""
+    if before is None or after is None:
+        only = after if before is None else before
+        return "not measured" if only is None else f"{only:.3g}{unit}"
+    change = minus(f" ({100 * (after / before - 1):+.1f} %)") if before > 0 else ""
+    return f"{before:.3g} → {after:.3g}{unit}{change}"

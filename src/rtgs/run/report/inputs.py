@@ -1,0 +1,52 @@
+"""Sections: what was run, and what a person should know about the capture."""
+
+from __future__ import annotations
+
+import html
+
+from rtgs.base.json_records import to_json
+from rtgs.run.report.contents import Contents
+from rtgs.run.report.pieces import facts, missing, section, wide
+from rtgs.run.report.values import flattened, length, size
+
+_FEW_FAILURES = 10  # listed without a click
+
+
+def inputs_section(run: Contents) -> str:
+    """The capture, the version and every setting."""
+    summary = run.summary
+    values: dict[str, object] = {"Capture": run.capture}
+    if summary is not None:
+        values |= {
+            "Frames": f"{summary.frames}, of which {summary.registered} registered",
+            "RGB image": size(summary.rgb_size),
+            "Thermal image": size(summary.thermal_size),
+            "Thermal unit": {"celsius": "°C", "relative": "relative counts"}[summary.thermal_unit],
+            "Baseline": length(summary.baseline_m) if summary.baseline_m else None,
+        }
+    inside = facts(values | {"rtgs": run.version}) + _settings(run)
+    absent = [name for name, part in (("config.json", run.settings), ("capture_summary.json", summary)) if part is None]
+    return section("What was run", inside + (missing(run, " and ".join(absent)) if absent else ""))
+
+
+def _settings(run: Contents) -> str:
+    if run.settings is None:
+        return ""
+    settings = list(flattened(to_json(run.settings)))
+    cells = "".join(f"<tr><td><code>{html.escape(k)}</code></td><td>{html.escape(v)}</td></tr>" for k, v in settings)
+    return f"<details><summary>All {len(settings)} settings</summary>{wide(cells)}</details>"
+
+
+def warnings_section(run: Contents) -> str:
+    """Warnings about the capture, and the frames that were not used; "" where there are none."""
+    if run.summary is None:
+        return ""
+    parts, failures = [], run.summary.failures
+    if run.summary.warnings:
+        parts.append("<ul>" + "".join(f"<li>{html.escape(w)}</li>" for w in run.summary.warnings) + "</ul>")
+    if failures:
+        cells = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in failures.items())
+        words = "1 frame was not used" if len(failures) == 1 else f"{len(failures)} frames were not used"
+        state = " open" if len(failures) <= _FEW_FAILURES else ""
+        parts.append(f"<details{state}><summary>{words}</summary>{wide(cells)}</details>")
+    return section("Warnings", "".join(parts))

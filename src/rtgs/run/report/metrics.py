@@ -1,0 +1,71 @@
+"""Sections: scores on held-out views, and the time that the stages took."""
+
+from __future__ import annotations
+
+import html
+import shlex
+from collections.abc import Mapping
+
+from rtgs.evaluation.records import Evaluation
+from rtgs.run.report.contents import Contents
+from rtgs.run.report.pieces import missing, section, wide
+from rtgs.run.report.values import METRICS, duration, metric, signed_metric
+
+_MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s = 1)"}
+_STAGES = {
+    "sfm": "Structure from motion",
+    "rgb": "RGB model",
+    "scale": "Scale",
+    "thermal": "Thermal model",
+    "thermal_naive": "Thermal control (s = 1)",
+    "evaluate": "Evaluation",
+}
+
+
+def metrics_section(run: Contents) -> str:
+    """A row a model, the difference that the scale makes, and what the scores refer to."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return section("Metrics", missing(run, "metrics.json"))
+    known = {key: scores.known() for key, scores in evaluation.models.items()}
+    columns = [name for name in METRICS if any(name in values for values in known.values())]
+    head = "".join(f"<th>{html.escape(METRICS[c])}</th>" for c in columns)
+    body = "".join(_row(_MODELS[key], [metric(c, values.get(c)) for c in columns]) for key, values in known.items())
+    if "thermal_naive" in known:
+        ours, naive = known["thermal"], known["thermal_naive"]
+        cells = [signed_metric(c, ours[c] - naive[c] if c in ours and c in naive else None) for c in columns]
+        body += _row("Change brought by the scale", cells, "total")
+    table = wide(f"<thead><tr><td></td>{head}</tr></thead>{body}", "numbers")
+    return section("Metrics", table + "".join(f"<p>{note}</p>" for note in _notes(run, evaluation, columns)))
+
+
+def _row(title: str, cells: list[str], kind: str = "") -> str:
+    name = f' class="{kind}"' if kind else ""
+    return f"<tr{name}><th>{html.escape(title)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+
+
+def _notes(run: Contents, evaluation: Evaluation, columns: list[str]) -> list[str]:
+    count = len(evaluation.thermal.per_frame or evaluation.rgb.per_frame)
+    note = "Means over held-out frames" + (f" ({count})" if count else "") + "; nothing was fitted to them."
+    if run.thermal_range:
+        lo, hi = run.thermal_range
+        note += f" Thermal PSNR, SSIM and LPIPS are on the range {lo:.1f} to {hi:.1f} {run.unit or 'counts'}."
+    if "lpips" in columns:
+        note += " LPIPS (AlexNet): how different two pictures look, 0 for equal ones."
+    command = html.escape(f"rtgs eval {shlex.quote(str(run.path))}")
+    return [note, *(f"{html.escape(text)} Then <code>{command}</code>." for text in evaluation.notes)]
+
+
+def timings_section(run: Contents) -> str:
+    """Seconds of each stage as bars; "" where the run has not been evaluated."""
+    seconds: Mapping[str, float] = {} if run.evaluation is None else run.evaluation.timings_s
+    if not seconds:
+        return ""
+    longest = max(seconds.values()) or 1.0
+    rows = ""
+    for key in [*(k for k in _STAGES if k in seconds), *(k for k in seconds if k not in _STAGES)]:
+        bar = f'<span class="bar" style="width:{100 * seconds[key] / longest:.1f}%"></span>'
+        title = html.escape(_STAGES.get(key, key))
+        rows += f"<tr><th>{title}</th><td>{duration(seconds[key])}</td><td class='bars'>{bar}</td></tr>"
+    rows += f'<tr class="total"><th>All</th><td>{duration(sum(seconds.values()))}</td><td></td></tr>'
+    return section("Time taken", wide(rows, "numbers timings"))

@@ -1,0 +1,64 @@
+"""Section: the scale, its curves, and what of the calibration was refined with it."""
+
+from __future__ import annotations
+
+import html
+
+from rtgs.run.report.charts import history_chart, local_chart, scan_chart
+from rtgs.run.report.contents import Contents
+from rtgs.run.report.pieces import facts, missing, section, wide
+from rtgs.run.report.values import minus
+from rtgs.scale import ScaleEstimate
+from rtgs.scale.records import Freedom, Refinement
+
+_SOLVERS = {"adam": "Adam", "gauss_newton": "Gauss-Newton", "global": "scan and Gauss-Newton"}
+
+
+def scale_section(run: Contents) -> str:
+    """Numbers, the solver's reason, curves and the refined calibration."""
+    scale = run.scale
+    if scale is None:
+        return section("Scale", missing(run, "scale.json"))
+    note = f"<p>{html.escape(scale.reason)}</p>" if scale.reason else ""
+    solver = _SOLVERS.get(scale.solver, scale.solver)
+    second = local_chart(scale) if scale.solver == "global" else history_chart(scale, solver)
+    charts = [chart for chart in (scan_chart(scale), second) if chart]
+    pair = f'<div class="pair">{"".join(charts)}</div>' if charts else ""
+    return section("Scale", facts(_facts(scale, solver)) + note + pair + _refinement(scale.refinement))
+
+
+def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
+    minima = [f"{m.sfm_per_metre:.4g} (better in {100 * m.chance:.2g} % of resamples)" for m in scale.minima]
+    return {
+        "SfM units per metre": f"{scale.sfm_per_metre:.5g}",
+        "Metres per SfM unit": f"{scale.metres_per_sfm:.5g}",
+        "Standard error": None if scale.std_log is None else f"{100 * scale.std_log:.2g} %",
+        "95 % interval": None if scale.ci95 is None else f"{scale.ci95[0]:.5g} to {scale.ci95[1]:.5g}",
+        "Searched": f"{scale.bracket[0]:.3g} to {scale.bracket[1]:.3g}",
+        "Solver": solver,
+        "Started at": f"{scale.init:.4g}",
+        "Frames used": len(scale.frames),
+        "Other minima": ", ".join(minima) or None,
+        "Blur of the thermal lens": f"{scale.blur_px:.2g} px" if scale.blur_px else None,
+        "Frames that disagree": ", ".join(scale.disagreeing) or None,
+    }
+
+
+def _refinement(refinement: Refinement | None) -> str:
+    if refinement is None or not refinement.freedoms:
+        return ""
+    head = "<tr><td></td><th>calibration</th><th>found</th><th>decided by the images</th></tr>"
+    rows = "".join(_freedom(f) for f in refinement.freedoms)
+    return (
+        "<p>The calibration was refined with the scale; every later stage uses the refined rig, and rig.json is as it was. Standard "
+        f"deviations stand behind ±. Without this the scale would be {refinement.before:.5g} SfM units per metre.</p>"
+        + wide(f"<thead>{head}</thead>{rows}", "numbers")
+    )
+
+
+def _freedom(freedom: Freedom) -> str:
+    unit = html.escape(freedom.unit)
+    found = minus(f"{freedom.mean:+.3f} ± {freedom.std:.3f} {unit}")
+    known = "yes" if freedom.decided else "no, as calibrated"
+    cells = f"<td>0 ± {freedom.prior_std:.3g} {unit}</td><td>{found}</td><td>{known}</td>"
+    return f"<tr><th>{html.escape(freedom.name)}</th>{cells}</tr>"

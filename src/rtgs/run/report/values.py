@@ -1,0 +1,63 @@
+"""Numbers as the report shows them, and which frames it shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "lpips": "LPIPS", "mae_c": "Mean error, °C", "mae_counts": "Mean error, counts"}
+"""Score → heading of its column, in the order of the columns."""
+
+_DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "mae_c": 2, "mae_counts": 1}
+
+
+def metric(name: str, value: float | None) -> str:
+    """A score with the decimals that mean something; a dash where there is none."""
+    return "–" if value is None else f"{value:.{_DECIMALS.get(name, 3)}f}"
+
+
+def signed_metric(name: str, difference: float | None) -> str:
+    """A difference of two scores, with its sign."""
+    return "–" if difference is None else minus(f"{difference:+.{_DECIMALS.get(name, 3)}f}")
+
+
+def minus(number: str) -> str:
+    """With the minus sign of typography in place of the hyphen."""
+    return number.replace("-", "−")
+
+
+def size(width_height: tuple[int, int]) -> str:
+    """ "640 × 512 px"."""
+    return f"{width_height[0]} × {width_height[1]} px"
+
+
+def length(metres: float) -> str:
+    """With three digits, in m, cm or mm."""
+    value, unit = (metres, "m") if metres >= 1 else (100 * metres, "cm") if metres >= 0.01 else (1000 * metres, "mm")
+    return f"{value:.3g}\u00a0{unit}"
+
+
+def duration(seconds: float) -> str:
+    """ "4.2 s", "3 min 05 s" or "2 h 07 min"."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def evenly(count: int, at_most: int) -> Sequence[int]:
+    """Up to `at_most` of the indices 0 … count − 1, the first and the last among them."""
+    if count <= at_most:
+        return range(count)
+    return [round(i * (count - 1) / (at_most - 1)) for i in range(at_most)]
+
+
+def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, str]]:
+    """Nested settings as (dotted name, value in words)."""
+    for key, value in settings.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

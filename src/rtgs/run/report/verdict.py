@@ -1,0 +1,67 @@
+"""The top of the page: the scale, and what it brought, in a few sentences."""
+
+from __future__ import annotations
+
+import html
+
+from rtgs.run.report.contents import Contents
+from rtgs.run.report.values import length
+
+_STATUS = {
+    "ok": ("good", "Scale found"),
+    "ambiguous": ("fair", "Scale ambiguous"),
+    "unobservable": ("poor", "Scale cannot be observed"),
+}
+_ALIKE_DB = 0.05  # models that differ by less are said to be equal: the sentence shows one decimal
+
+
+def verdict_header(run: Contents) -> str:
+    """Title, badge and sentences."""
+    badge, said = _scale(run)
+    said += _thermal(run)
+    title = html.escape(page_title(run))
+    return f'<header><h1>{title}</h1>{badge}<p class="verdict">{" ".join(said)}</p></header>'
+
+
+def page_title(run: Contents) -> str:
+    """What the page is called, as text."""
+    return f"RGB–thermal model of {run.name}"
+
+
+def _scale(run: Contents) -> tuple[str, list[str]]:
+    scale = run.scale
+    if scale is None:
+        return '<span class="badge none">Scale not estimated yet</span>', ["This run has no scale so far."]
+    colour, words = _STATUS[scale.status]
+    sentence = f"One metre is <strong>{scale.sfm_per_metre:.4g} SfM units</strong>"
+    if scale.ci95:
+        sentence += f" (95 % interval {scale.ci95[0]:.4g} to {scale.ci95[1]:.4g})"
+    if run.baseline_m:
+        spans = run.baseline_m * scale.sfm_per_metre
+        sentence += f"; the rig's baseline of {length(run.baseline_m)} spans {spans:.3g} of them"
+    said = [sentence + "."]
+    if scale.status != "ok":
+        reason = scale.reason.rstrip(".")
+        said.append("Do not rely on this number" + (f": {html.escape(reason)}." if reason else "."))
+    return f'<span class="badge {colour}">{html.escape(words)}</span>', said
+
+
+def _thermal(run: Contents) -> list[str]:
+    evaluation = run.evaluation
+    if evaluation is None or evaluation.thermal.psnr is None:
+        return []
+    thermal, naive = evaluation.thermal, evaluation.thermal_naive
+    sentence = f"On views it never saw, the thermal model reaches <strong>{thermal.psnr:.1f}\u00a0dB</strong>"
+    if naive is not None and naive.psnr is not None and thermal.psnr is not None:
+        gain = thermal.psnr - naive.psnr
+        if abs(gain) < _ALIKE_DB:
+            sentence += ", neither better nor worse than with the scale ignored (s = 1)"
+        else:
+            better = "better" if gain > 0 else "worse"
+            sentence += f", <strong>{abs(gain):.1f}\u00a0dB {better}</strong> than with the scale ignored"
+    if thermal.mae_c is not None and run.unit:
+        sentence += f"; its temperatures are off by <strong>{thermal.mae_c:.2f}\u00a0°C</strong> on average"
+    said = [sentence + "."]
+    if not run.unit:
+        said.append("The capture has no radiometric calibration, so thermal values are relative, not degrees.")
+    return said

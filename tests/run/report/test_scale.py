@@ -1,0 +1,62 @@
+"""The scale in the report: doubt comes first, curves and minima are shown, and what was refined stands in a table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from tests.helpers.made_up_run import HELD_OUT, SFM_PER_METRE, estimate, make_run, page_of
+
+from rtgs.run.folder import RunFolder
+from rtgs.scale.records import Freedom, Minimum, Refinement, Scan
+
+
+@pytest.mark.parametrize("status", ["ambiguous", "unobservable"])
+def test_a_scale_in_doubt_is_said_first(tmp_path: Path, status: Literal["ambiguous", "unobservable"]) -> None:
+    run = make_run(tmp_path / "run")
+    doubtful = replace(estimate(), status=status, reason="flow is under half a pixel", ci95=None, std_log=None)
+    RunFolder(run).write_scale(doubtful)
+    page = page_of(run)
+    assert "Do not rely on this number: flow is under half a pixel." in page.text and "Scale found" not in page.text
+
+
+def test_a_solver_with_steps_shows_them(tmp_path: Path) -> None:
+    text = page_of(make_run(tmp_path / "run")).text
+    assert "Refinement by Adam" in text and "single frames" not in text
+
+
+def test_a_search_shows_its_minima_its_frames_and_the_curve_beside_the_answer(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    s = [SFM_PER_METRE * f for f in (0.98, 0.99, 1.0, 1.01, 1.02)]
+    curves = {n: [0.9 + k * 0.01, 0.88, 0.87, 0.88, 0.9] for k, n in enumerate(HELD_OUT)}
+    found = replace(
+        estimate(),
+        solver="global",
+        minima=[Minimum(sfm_per_metre=7.125, loss_above=0.01, chance=0.12)],
+        disagreeing=["frame_<9>"],
+        local=Scan(s, [0.9, 0.88, 0.87, 0.88, 0.9], [0.0] * 5, curves),
+        blur_px=2.8,
+    )
+    RunFolder(run).write_scale(found)
+    text = page_of(run).text
+    assert "other minimum: 7.125" in text and "7.125 (better in 12 % of resamples)" in text
+    assert "frame_<9>" in text and "single frames" in text  # escaped: it came back as text
+    assert "Blur of the thermal lens" in text and "2.8 px" in text
+    assert "scan and Gauss-Newton" in text and "Refinement by" not in text
+
+
+def test_what_was_refined_stands_in_a_table(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    freedoms = [
+        Freedom("thermal <focal>", "%", mean=-1.25, std=0.3, prior_std=2.0, decided=True),
+        Freedom("time offset", "frame intervals", mean=0.01, std=0.28, prior_std=0.2887, decided=False),
+    ]
+    refinement = Refinement(1.2345, freedoms, np.eye(3).tolist(), np.eye(4).tolist(), 500.0, 500.0, 0.01)
+    RunFolder(run).write_scale(replace(estimate(), refinement=refinement))
+    page = page_of(run)
+    assert "thermal <focal> 0 ± 2 % −1.250 ± 0.300 % yes" in page.text  # escaped, and its cells in order
+    assert "time offset 0 ± 0.289 frame intervals +0.010 ± 0.280 frame intervals no, as calibrated" in page.text
+    assert "Without this the scale would be 1.2345" in page.text
