@@ -1,6 +1,8 @@
 # make test   everything a change has to pass: ruff, mypy, pytest
 # make demo   the whole pipeline on a small capture, and its report
 # make lint   ruff and mypy alone
+# make docs   the site in docs/_build/html; any warning is an error
+# make results PAGE=scale-units ARGS="--out DIR"   measure a page of results again (minutes to hours)
 # Each sets up .venv first, in a fresh clone too. PYTHON picks the interpreter: make test PYTHON=python3.12
 
 PYTHON ?= python3
@@ -8,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: test demo lint venv
+.PHONY: test demo lint venv docs results
 .NOTPARALLEL:
 
 venv: $(STAMP)
@@ -38,9 +40,15 @@ lint: $(STAMP)
 test: export NUMBA_NUM_THREADS = 1
 test: export OMP_NUM_THREADS = 1
 test: export MKL_NUM_THREADS = 1
-test: lint
+test: lint docs
 	$(BIN)/python tests/helpers/compile_kernels.py
 	$(BIN)/python -m pytest -q -n 2
 
 demo: $(STAMP)
 	$(BIN)/rtgs demo
+
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
+results: $(STAMP)
+	$(BIN)/python docs/make_results.py $(PAGE) $(ARGS)

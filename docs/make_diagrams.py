@@ -21,13 +21,15 @@ class Diagram:
         self.width, self.height, self.label = width, height, label
         self.parts: list[str] = []
 
-    def text(self, x: float, y: float, lines: Sequence[str], *, anchor: str = "middle", size: int = FONT_PX, bold: bool = False) -> None:
+    def text(
+        self, x: float, y: float, lines: Sequence[str], *, anchor: str = "middle", size: int = FONT_PX, bold: bool = False
+    ) -> None:
         first = y - (len(lines) - 1) * LINE_PX / 2
         weight = ' font-weight="600"' if bold else ""
         for i, line in enumerate(lines):
             self.parts.append(
-                f'<text x="{x:g}" y="{first + i * LINE_PX:g}" text-anchor="{anchor}" dominant-baseline="central" font-size="{size}"{weight} '
-                f'fill="currentColor">{html.escape(line)}</text>'
+                f'<text x="{x:g}" y="{first + i * LINE_PX:g}" text-anchor="{anchor}" dominant-baseline="central" font-size="{size}"'
+                f'{weight} fill="currentColor">{html.escape(line)}</text>'
             )
 
     def box(self, x: float, y: float, w: float, h: float, lines: Sequence[str], colour: str = ACCENT, bold: bool = False) -> None:
@@ -41,7 +43,14 @@ class Diagram:
     def question(self, x: float, y: float, w: float, h: float, lines: Sequence[str]) -> None:
         """A decision: a hexagon centred at (x, y)."""
         cut = 18
-        points = [(-w / 2 + cut, -h / 2), (w / 2 - cut, -h / 2), (w / 2, 0), (w / 2 - cut, h / 2), (-w / 2 + cut, h / 2), (-w / 2, 0)]
+        points = [
+            (-w / 2 + cut, -h / 2),
+            (w / 2 - cut, -h / 2),
+            (w / 2, 0),
+            (w / 2 - cut, h / 2),
+            (-w / 2 + cut, h / 2),
+            (-w / 2, 0),
+        ]
         drawn = " ".join(f"{x + dx:g},{y + dy:g}" for dx, dy in points)
         self.parts.append(f'<polygon points="{drawn}" fill="none" stroke="currentColor" stroke-width="1.5"/>')
         self.text(x, y, lines)
@@ -112,7 +121,9 @@ def rig() -> None:
     d.text(186, 122, ["near edge"], anchor="end")
     d.text(438, 36, ["far edge"], anchor="start")
     d.text(400, 238, ["thermal camera at", "baseline direction × s × metres"], anchor="start", size=14)
-    d.text(400, 150, ["The direction to the near edge", "changes much with s,", "to the far edge hardly."], anchor="start", size=14)
+    d.text(
+        400, 150, ["The direction to the near edge", "changes much with s,", "to the far edge hardly."], anchor="start", size=14
+    )
     d.write("rig")
 
 

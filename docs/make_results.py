@@ -47,18 +47,30 @@ PAGES = {
     for page in (
         Page("scale-synthetic", "rtgs experiment synthetic --out {out} --rgb.quality default", "table_1.md"),
         Page("scale-perturbed", "rtgs experiment synthetic --out {out} --table 2 --seeds 2 --rgb.quality default", "table_2.md"),
-        Page("scale-ablation", "rtgs experiment synthetic --out {out} --table ablation --seeds 1 --scenes chair drums hotdog", "table_ablation.md"),
+        Page(
+            "scale-ablation",
+            "rtgs experiment synthetic --out {out} --table ablation --seeds 1 --scenes chair drums hotdog",
+            "table_ablation.md",
+        ),
         Page("refinement", 'python benchmarks/refine_scale.py --out {out} --seeds 5 --rows "focal 2,direction"'),
         Page("interval-coverage", "python benchmarks/scale_coverage.py --out {out}"),
         Page("scale-halves", "python benchmarks/scale_splits.py {run}"),
         Page("scale-units", "python benchmarks/scale_units.py --out {out}"),
         Page("scale-speed", "python benchmarks/scale_speed.py {run}"),
-        Page("table3-room", "rtgs experiment real {run} --out {out} --manual.frames frame_001 frame_013 --manual.metres 1.16254", "table3.md"),
+        Page(
+            "table3-room",
+            "rtgs experiment real {run} --out {out} --manual.frames frame_001 frame_013 --manual.metres 1.16254",
+            "table3.md",
+        ),
         Page("table3-arco", "rtgs experiment real {run} --out {out} --thermal.drift offset", "table3.md"),
         Page("thermal-adam", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene}", scenes=SCENES),
         Page("thermal-truth", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene} --steps ''", scenes=SCENES),
         Page("renderer-speed", "python benchmarks/render.py"),
-        Page("training", "python benchmarks/train.py {capture} --out {out} --threads 2 --seeds 0 1 --times-four --scale", "train.md"),
+        Page(
+            "training",
+            "python benchmarks/train.py {capture} --out {out} --threads 2 --seeds 0 1 --times-four --scale",
+            "train.md",
+        ),
         Page("ssim", "python benchmarks/ssim.py"),
     )
 }
@@ -70,7 +82,11 @@ def header(command: str) -> str:
     import rtgs
 
     cpu = Path("/proc/cpuinfo")
-    model = next((line.split(":", 1)[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")), "") if cpu.exists() else ""
+    model = (
+        next((line.split(":", 1)[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")), "")
+        if cpu.exists()
+        else ""
+    )
     machine = f"{model or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     rows = (("command", f"`{command}`"), ("version", rtgs.__version__), ("machine", machine), ("date", date.today().isoformat()))
     return "| measured with | |\n|---|---|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows)

@@ -1,7 +1,7 @@
 """A directive that shows a command's help as the installed program prints it, so that the page cannot go out of date.
 
-    ```{cli-help} run
-    ```
+```{cli-help} run
+```
 """
 
 from __future__ import annotations
