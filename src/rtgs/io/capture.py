@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,34 +14,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
+from rtgs.images.cache import ImageCache
 from rtgs.io.colmap import read_sparse
-from rtgs.io.image_files import ImageHeader, check_counts_mode, list_images, read_counts, read_header, read_rgb
+from rtgs.io.image_files import ImageHeader, check_counts_mode, check_rgb, list_images, read_counts, read_header, read_rgb
 from rtgs.io.rig import read_rig
 from rtgs.io.transforms import read_transforms
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera, Undistortion
 from rtgs.records.capture import Capture, Frame, Poses
 from rtgs.records.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
+from rtgs.records.rig import Rig
 
 MIN_FRAMES = 3
+CACHE_BYTES = 2**30  # 140 frames of 960 × 540 and 640 × 512 pixels
 _INTRINSICS_TOLERANCE = 0.01
 
 
-def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
-    """Load, check and undistort a capture folder.
+def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int = CACHE_BYTES) -> Capture:
+    """Load and check a capture folder.
 
-    Everything that can be checked without decoding pixels is checked first. RGB is undistorted at full resolution and then
-    averaged down; thermal keeps its size.
+    Everything that can be checked without decoding pixels is checked first; then every file is decoded once, so that a damaged one is
+    found before hours of work. No image is kept: a frame makes its images when they are asked for, and those used last stay in
+    memory. RGB is undistorted at full resolution and then averaged down; thermal is undistorted and keeps its size.
 
     Args:
         root: the folder, with `rgb/`, `thermal/`, `rig.json` and optionally poses in `sparse/0` or `transforms.json`.
         rgb_max_side: RGB images are made no longer than this many pixels; smaller ones are left as they are.
+        cache_bytes: how much memory undistorted images may take.
 
     Returns:
         The capture: RGB in [0, 1], thermal in °C, or in counts where `rig.json` gives no radiometry.
 
     Raises:
-        RtgsError: anything wrong with the folder, by file and field.
+        RtgsError: anything wrong with the folder, by file and field. A frame raises it too, where a file has gone or changed since.
     """
     root = Path(root)
     if not root.is_dir():
@@ -60,32 +66,62 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960) -> Capture:
     camera, poses = _read_poses(root, raw_rig.rgb, list(rgb_files), warnings)
     raw_rig = replace(raw_rig, rgb=camera)
 
-    rgb_undistortion, thermal_undistortion = Undistortion(raw_rig.rgb), Undistortion(raw_rig.thermal)
-    rgb_size = _size_within(raw_rig.rgb, rgb_max_side)
-    rgb_mask = _shrink(rgb_undistortion.mask.astype(np.float32), rgb_size) > 1 - 1e-4  # every averaged pixel is valid
-
-    def load(name: str) -> Frame:
-        rgb = _shrink(rgb_undistortion.apply(read_rgb(rgb_files[name])), rgb_size)
-        thermal = _thermal_values(thermal_files[name], rig_file.radiometry)
-        return Frame(name, rgb, thermal_undistortion.apply(thermal))
-
+    images = _Images(raw_rig, rig_file.radiometry, _size_within(raw_rig.rgb, rgb_max_side), ImageCache(cache_bytes))
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         try:
-            frames = tuple(pool.map(load, rgb_files))
+            list(pool.map(images.check, rgb_files.values(), thermal_files.values()))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
     return Capture(
         root=root,
         raw_rig=raw_rig,
-        rig=replace(raw_rig, rgb=raw_rig.rgb.pinhole().resized(*rgb_size), thermal=raw_rig.thermal.pinhole()),
-        frames=frames,
-        rgb_mask=rgb_mask,
-        thermal_mask=thermal_undistortion.mask,
+        rig=replace(raw_rig, rgb=raw_rig.rgb.pinhole().resized(*images.rgb_size), thermal=raw_rig.thermal.pinhole()),
+        frames=tuple(
+            Frame(name, partial(images.rgb, path), partial(images.thermal, thermal_files[name]), header.time_s)
+            for (name, path), header in zip(rgb_files.items(), rgb_headers, strict=True)
+        ),
+        rgb_mask=images.rgb_mask,
+        thermal_mask=images.thermal_mask,
         radiometry=rig_file.radiometry,
         poses=poses,
         warnings=tuple(warnings),
     )
+
+
+class _Images:
+    """Makes the frames' images of their files, when they are asked for.
+
+    The cache holds them in float32, as they are handed on. To keep them in 8 or 16 bits would take less memory and change results:
+    an undistorted, averaged image has values between those levels.
+    """
+
+    def __init__(self, raw_rig: Rig, radiometry: Radiometry, rgb_size: tuple[int, int], cache: ImageCache) -> None:
+        self.rgb_size = rgb_size
+        self._radiometry, self._cache = radiometry, cache
+        self._rgb_undistortion, self._thermal_undistortion = Undistortion(raw_rig.rgb), Undistortion(raw_rig.thermal)
+        self.rgb_mask = _shrink(self._rgb_undistortion.mask.astype(np.float32), rgb_size) > 1 - 1e-4  # all of it is valid
+        self.thermal_mask = self._thermal_undistortion.mask
+
+    def rgb(self, path: Path) -> NDArray[np.float32]:
+        return self._cache.get(path, lambda: _shrink(_undistorted(self._rgb_undistortion, path, read_rgb(path)), self.rgb_size))
+
+    def thermal(self, path: Path) -> NDArray[np.float32]:
+        return self._cache.get(
+            path, lambda: _undistorted(self._thermal_undistortion, path, _thermal_values(path, self._radiometry))
+        )
+
+    def check(self, rgb: Path, thermal: Path) -> None:
+        """Refuse files that could not be made images of later."""
+        check_rgb(rgb)
+        _thermal_values(thermal, self._radiometry)
+
+
+def _undistorted(undistortion: Undistortion, path: Path, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    camera = undistortion.camera
+    if image.shape[:2] != (camera.height, camera.width):
+        raise RtgsError(f"{path}: has another size than when the capture was loaded. Put the file back, or start again.")
+    return undistortion.apply(image)
 
 
 def _paired_files(root: Path) -> tuple[dict[str, Path], dict[str, Path]]:

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +19,54 @@ from rtgs.maths.geometry import SE3
 from rtgs.records.radiometry import Radiometry
 from rtgs.records.rig import Rig
 
+Image: TypeAlias = NDArray[np.float32]
+ImageSource: TypeAlias = Image | Callable[[], Image]
 
-@dataclass(frozen=True, eq=False)
+
+class _ImageField:
+    """A field of a frame that holds an image, or a function that is called for it at every access."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = f"_{name}"
+
+    @overload
+    def __get__(self, frame: None, owner: type) -> Image: ...
+    @overload
+    def __get__(self, frame: Frame, owner: type) -> Image: ...
+    def __get__(self, frame: Frame | None, owner: type) -> Image:
+        if frame is None:
+            raise AttributeError(self._name)  # so the field has no default
+        source = frame.__dict__[self._name]
+        return source() if callable(source) else source
+
+    def __set__(self, frame: Frame, source: ImageSource) -> None:
+        frame.__dict__[self._name] = source
+
+
+@dataclass(frozen=True, eq=False, repr=False)  # to print a frame must not load its images
 class Frame:
     """One instant: a synchronised, undistorted pair.
+
+    Both images are given as arrays, or as functions that load them. A function is called at every access: it decides what it keeps
+    in memory. Such a frame can be used from several threads if its functions can.
 
     Attributes:
         name: common stem of both files.
         rgb: `[H, W, 3]` float32 in [0, 1].
         thermal: `[h, w]` float32, in the unit that `Capture.radiometry` names: °C, or counts.
+        time_s: when the RGB image was taken, in seconds by the camera's clock; only differences mean something. None when unknown.
     """
 
     name: str
-    rgb: NDArray[np.float32]
-    thermal: NDArray[np.float32]
+    rgb: _ImageField = _ImageField()
+    thermal: _ImageField = _ImageField()
+    time_s: float | None = None
+
+    def with_thermal(self, thermal: ImageSource) -> Frame:
+        """The same frame with another thermal image. Unlike `dataclasses.replace` it does not load the RGB image."""
+        frame = copy(self)
+        object.__setattr__(frame, "thermal", thermal)
+        return frame
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,7 +65,7 @@ class PlanarScene:
         mask = np.zeros(size, bool)
         for frame in capture.frames:
             thermal, mask = warp(frame.thermal, capture.thermal_mask, back, size)
-            frames.append(replace(frame, thermal=thermal))
+            frames.append(frame.with_thermal(thermal))
         _, valid = warp(np.zeros(size, np.float32), mask, there, (rig.thermal.height, rig.thermal.width))
         valid &= capture.thermal_mask
         share = valid.sum() / capture.thermal_mask.sum()
