@@ -184,3 +184,8 @@ def test_a_radiometry_says_the_unit_of_its_values(radiometry: Radiometry, unit: 
     values = radiometry.values(np.array([0, 30000], np.uint16))
     assert (radiometry.unit, radiometry.suffix, values.dtype) == (unit, suffix, np.float32)
     np.testing.assert_allclose(values, [0, 30000] if unit == "counts" else [-273.15, 26.85], atol=1e-4)
+
+
+def test_every_16_bit_count_comes_back() -> None:
+    counts = np.arange(65536)
+    np.testing.assert_allclose(CENTIKELVIN.counts(CENTIKELVIN.celsius(counts)), counts, atol=2e-3)

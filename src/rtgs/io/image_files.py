@@ -135,7 +135,7 @@ def check_rgb(path: Path) -> None:
     """
     try:
         with Image.open(path) as image:
-            image.draft(None, (image.width // 8, image.height // 8))
+            image.draft(None, (max(1, image.width // 8), max(1, image.height // 8)))
             image.load()
             mode = image.mode
     except (OSError, SyntaxError, ValueError) as error:

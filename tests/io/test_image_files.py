@@ -1,0 +1,144 @@
+"""Image files: names, formats, orientation, and files that cannot be used."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests.helpers.captures import NAMES, edit_rig, refused
+
+from rtgs.io.capture import load_capture
+from rtgs.io.image_files import check_rgb, frame_name, in_thermal_folder, read_header, read_rgb
+
+
+def test_frame_names() -> None:
+    names = ["a/10.5", "./rgb/10.5.jpg", "10.5.TIFF", "rgb\\10.5.png"]
+    assert {frame_name(n) for n in names} == {"10.5"}
+    assert in_thermal_folder("thermal/train/1.tiff")
+    assert not in_thermal_folder("/home/me/thermal/rgb/1.png")
+    assert not in_thermal_folder("thermal.png")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "value"),
+    [
+        (".png", np.uint16, 4900),
+        (".tiff", np.uint16, 4900),
+        (".png", np.uint8, 200),
+        (".tiff", np.float32, 22.5),
+        (".tif", np.int32, 70000),
+    ],
+)
+def test_thermal_formats(root: Path, suffix: str, dtype: type, value: float) -> None:
+    edit_rig(root, lambda d: d["thermal"].update(celsius_per_count=1, celsius_offset=0))
+    for name in NAMES:
+        (root / "thermal" / f"{name}.tiff").unlink()
+        Image.fromarray(np.full((32, 40), value, dtype=dtype)).save(root / "thermal" / f"{name}{suffix}")
+    np.testing.assert_array_equal(load_capture(root).frames[0].thermal, value)
+
+
+def test_exif_orientation_is_applied(root: Path) -> None:
+    """Files stored sideways with a tag load upright, and sizes are compared upright."""
+    upright = load_capture(root)
+    for name in NAMES:
+        path = root / "rgb" / f"{name}.png"
+        image = Image.open(path)
+        exif = image.getexif()
+        exif[0x0112] = 6  # shown after a quarter turn clockwise, so stored a quarter turn counter-clockwise
+        image.rotate(90, expand=True).save(path, exif=exif)
+        assert Image.open(path).size == (48, 64)
+    np.testing.assert_array_equal(load_capture(root).frames[0].rgb, upright.frames[0].rgb)
+
+
+@pytest.mark.parametrize("folder", ["rgb", "thermal"])
+def test_not_an_image(root: Path, folder: str) -> None:
+    path = next((root / folder).glob(f"{NAMES[3]}.*"))
+    path.write_bytes(b"not an image at all")
+    refused(root, path.name, "cannot be read")
+
+
+@pytest.mark.parametrize("folder", ["rgb", "thermal"])
+def test_truncated_image(root: Path, folder: str) -> None:
+    path = next((root / folder).glob(f"{NAMES[3]}.*"))
+    path.write_bytes(path.read_bytes()[:-400])
+    refused(root, path.name, "cannot be read")
+
+
+def test_truncated_jpeg(root: Path) -> None:
+    for name in NAMES:
+        path = root / "rgb" / f"{name}.png"
+        Image.open(path).save(path.with_suffix(".jpg"))
+        path.unlink()
+    last = root / "rgb" / f"{NAMES[4]}.jpg"
+    last.write_bytes(last.read_bytes()[:1500])
+    refused(root, last.name, "cannot be read", "truncated")
+
+
+@pytest.mark.parametrize("mode", ["RGB", "P", "RGBA"])
+def test_colour_thermal(root: Path, mode: str) -> None:
+    (root / "thermal" / f"{NAMES[1]}.tiff").unlink()
+    path = root / "thermal" / f"{NAMES[1]}.png"
+    Image.new(mode, (40, 32)).save(path)
+    refused(root, path.name, "colour image", "single-channel 16-bit")
+
+
+def test_thermal_with_nan(root: Path) -> None:
+    counts = np.full((32, 40), 20.0, np.float32)
+    counts[3, 4] = np.nan
+    Image.fromarray(counts).save(root / "thermal" / f"{NAMES[1]}.tiff")
+    refused(root, f"{NAMES[1]}.tiff", "NaN")
+
+
+def test_swapped_folders(root: Path) -> None:
+    edit_rig(root, lambda d: d["rgb"].update(width=40, height=32))
+    for name in NAMES:
+        Image.fromarray(np.zeros((32, 40), np.float32)).save(root / "rgb" / f"{name}.tiff")
+        (root / "rgb" / f"{name}.png").unlink()
+    refused(root, f"rgb/{NAMES[0]}.tiff", "floating-point", "swapped")
+
+
+@pytest.mark.parametrize(
+    ("original", "subseconds", "changed", "expected"),
+    [
+        ("2024:05:01 10:00:00", "25", None, 0.25),
+        ("2024:05:01 10:00:00", "250 ", None, 0.25),
+        ("2024:05:01 10:00:07", None, "2024:05:02 11:00:00", 7.0),
+        (None, None, "2024:05:01 10:01:00", 60.0),
+        (None, "25", "2024:05:01 10:01:00", 60.0),  # the fraction belongs to the original time
+        ("2024:05:01 10:00:00", "x", None, 0.0),
+        ("0000:00:00 00:00:00", None, None, None),
+        ("yesterday", None, None, None),
+        (None, None, None, None),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_the_time_of_an_image(
+    tmp_path: Path, suffix: str, original: str | None, subseconds: str | None, changed: str | None, expected: float | None
+) -> None:
+    """Seconds since the same second in all cases; EXIF's time zones are not read."""
+    exif = Image.Exif()
+    exif[0x010F] = "a maker"  # Pillow writes no directory that holds another one alone
+    exif[0x8769] = {tag: text for tag, text in ((0x9003, original), (0x9291, subseconds)) if text is not None}
+    if changed is not None:
+        exif[0x0132] = changed
+    path = tmp_path / f"a{suffix}"
+    Image.new("RGB", (8, 8)).save(path, exif=exif)
+    found = read_header(path).time_s
+    assert (found is None) == (expected is None)
+    if found is not None and expected is not None:
+        start = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc).timestamp()
+        assert found - start == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "I;16"])
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tiff"])
+def test_the_quick_check_accepts_what_can_be_read(tmp_path: Path, mode: str, suffix: str) -> None:
+    if mode == "I;16" and suffix == ".jpg":
+        pytest.skip("JPEG has no 16 bits")
+    path = tmp_path / f"a{suffix}"
+    Image.new(mode, (37, 5)).save(path)
+    check_rgb(path)
+    assert read_rgb(path).shape == (5, 37, 3)
