@@ -31,6 +31,7 @@ from rtgs.config import (
     SyntheticExperimentConfig,
     ThermalConfig,
 )
+from rtgs.io.cameras.registry import MODULES as CAMERA_MODULES
 from rtgs.run.config_file import is_run, read_config
 
 if TYPE_CHECKING:
@@ -220,7 +221,7 @@ def _commands(saved: RunConfig) -> dict[str, Callable[..., Any]]:
             reporter.say(f"warning: these are hardly metres: {estimate.reason}")
 
     def import_(
-        camera: tyro.conf.Positional[Literal["flir", "dji"]],
+        camera: tyro.conf.Positional[Literal[tuple(CAMERA_MODULES)]],  # type: ignore[valid-type]
         photographs: Folder,
         out: Path,
         rgb: Path | None = None,

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
-from rtgs.io.cameras.flir import is_flir, opened, read_flir
+from rtgs.io.cameras.flir import is_flir, read_flir
+from rtgs.io.cameras.jpeg import EXIF_IFD, MAKE, MODEL, exif_text, opened
+from rtgs.io.cameras.protocol import CameraFormat, Shot
 from rtgs.io.image_files import read_counts
 from rtgs.records.radiometry import CELSIUS, ZERO_CELSIUS_K, CelsiusRadiometry
 
-_MAKE, _MODEL, _EXIF_IFD, _FOCAL_LENGTH_35MM = 271, 272, 0x8769, 41989
+_FOCAL_LENGTH_35MM = 41989
 _DIAGONAL_35MM = math.hypot(36, 24)
 _VISIBLE_KINDS = ("W", "V")  # wide, visible; Z changes its focal length from shot to shot
 
@@ -121,7 +123,7 @@ def frame_name(path: Path) -> str:
 def focal_length_px(path: Path) -> float | None:
     """From EXIF's 35 mm equivalent, taken over the diagonal: nominal, good to a few per cent. None when absent."""
     with opened(path) as image:
-        equivalent_mm = float(image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_LENGTH_35MM) or 0)
+        equivalent_mm = float(image.getexif().get_ifd(EXIF_IFD).get(_FOCAL_LENGTH_35MM) or 0)
         return math.hypot(*image.size) * equivalent_mm / _DIAGONAL_35MM if equivalent_mm > 0 else None
 
 
@@ -129,6 +131,31 @@ def _camera_of_closed_data(path: Path) -> str | None:
     """The model of a DJI camera whose counts stand in APP3 segments; None for any other file."""
     with opened(path) as image:
         exif = image.getexif()
-        make, model = (str(exif.get(tag) or "").strip(" \0") for tag in (_MAKE, _MODEL))
+        make, model = (exif_text(exif.get(tag)) for tag in (MAKE, MODEL))
         thermal = any(name == "APP3" for name, _ in getattr(image, "applist", []))
     return (model or "camera") if make.upper() == "DJI" and thermal else None
+
+
+class DjiFormat:
+    """DJI's files for an import (`CameraFormat`). The visible picture of a shot is a file beside the thermal one."""
+
+    def recognises(self, path: Path) -> bool:
+        return is_dji(path)
+
+    def frame_name(self, path: Path) -> str:
+        return frame_name(path)
+
+    def read(self, path: Path) -> Shot:
+        image, name = read_dji(path), frame_name(path)
+        looked_for = " or ".join(f"{name}_{kind}.JPG" for kind in _VISIBLE_KINDS)
+        said = f"no visible picture of this shot is beside it ({looked_for})"
+        return Shot(image.counts, image.radiometry, image.focal_length_px, None, said)
+
+    def visible_partner(self, path: Path) -> Path | None:
+        return visible_partner(path)
+
+    def visible_focal_px(self, path: Path) -> float | None:
+        return focal_length_px(path)
+
+
+FORMAT: CameraFormat = DjiFormat()

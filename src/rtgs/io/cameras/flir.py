@@ -9,8 +9,6 @@ from __future__ import annotations
 import io
 import math
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -21,13 +19,24 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rtgs.base.errors import RtgsError
+from rtgs.io.cameras.jpeg import (
+    DATE_TIME,
+    EXIF_IFD,
+    EXPORT_AGAIN,
+    GPS_IFD,
+    MAKE,
+    MODEL,
+    ORIENTATION,
+    exif_text,
+    opened,
+    with_exif,
+)
+from rtgs.io.cameras.protocol import CameraFormat, Shot, VisiblePicture
 from rtgs.records.radiometry import ZERO_CELSIUS_K, Atmosphere, ObjectParameters, PlanckCalibration, PlanckRadiometry
 
 _RAW, _VISIBLE, _CAMERA, _FUSION = 0x01, 0x0E, 0x20, 0x2A
 _HEADER_BYTES, _ENTRY_BYTES, _IMAGE_HEADER_BYTES = 64, 32, 32
-_MAKE, _MODEL, _ORIENTATION, _DATE_TIME, _EXIF_IFD, _GPS_IFD, _DIGITAL_ZOOM = 271, 272, 274, 306, 0x8769, 0x8825, 41988
-_LAST_GPS_TAG = 31
-_EXPORT_AGAIN = "Copy the original file from the camera again; editing or sharing a picture drops or damages its thermal data."
+_DIGITAL_ZOOM, _LAST_GPS_TAG = 41988, 31
 
 
 @dataclass(frozen=True)
@@ -108,22 +117,22 @@ def read_flir(path: Path) -> FlirImage:
     with opened(path) as image:
         chunks = _flir_chunks(image)
         exif = image.getexif()
-        tags = {tag: exif.get(tag) for tag in (_MAKE, _MODEL, _ORIENTATION, _DATE_TIME)}
-        digital_zoom = exif.get_ifd(_EXIF_IFD).get(_DIGITAL_ZOOM)
-        gps = {tag: value for tag, value in exif.get_ifd(_GPS_IFD).items() if tag <= _LAST_GPS_TAG}  # AX8: a stray pointer
+        tags = {tag: exif.get(tag) for tag in (MAKE, MODEL, ORIENTATION, DATE_TIME)}
+        digital_zoom = exif.get_ifd(EXIF_IFD).get(_DIGITAL_ZOOM)
+        gps = {tag: value for tag, value in exif.get_ifd(GPS_IFD).items() if tag <= _LAST_GPS_TAG}  # AX8: a stray pointer
     if not chunks:
         raise RtgsError(
             f"{path}: holds no FLIR thermal data, only a picture of it. Export it as radiometric JPEG, or copy the camera's original."
         )
-    if tags[_ORIENTATION] not in (None, 0, 1):
+    if tags[ORIENTATION] not in (None, 0, 1):
         raise RtgsError(
-            f"{path}: has EXIF orientation {tags[_ORIENTATION]}; the thermal and the visible image in it are stored unturned, and "
+            f"{path}: has EXIF orientation {tags[ORIENTATION]}; the thermal and the visible image in it are stored unturned, and "
             "one rig.json needs both cameras upright in every frame. Take the frames in the camera's own orientation."
         )
     records = _records(path, _joined(path, chunks))
     for kind, what in ((_RAW, "raw thermal image"), (_CAMERA, "calibration")):
         if kind not in records:
-            raise RtgsError(f"{path}: its FLIR data has no {what}. {_EXPORT_AGAIN}")
+            raise RtgsError(f"{path}: its FLIR data has no {what}. {EXPORT_AGAIN}")
     camera = _Record(path, "calibration", records[_CAMERA])
     fov = camera.number("f", 0x1B4)
     return FlirImage(
@@ -131,34 +140,18 @@ def read_flir(path: Path) -> FlirImage:
         counts=_counts(path, records[_RAW]),
         radiometry=_radiometry(path, camera),
         visible_file=_visible(path, records[_VISIBLE]) if _VISIBLE in records else None,
-        make=_text(tags[_MAKE]),
-        model=camera.text(0xD4, 32) or _text(tags[_MODEL]),
+        make=exif_text(tags[MAKE]),
+        model=camera.text(0xD4, 32) or exif_text(tags[MODEL]),
         serial=camera.text(0x104, 16),
         lens=camera.text(0x170, 32),
         field_of_view_deg=fov if 0 < fov < 180 else None,
         fusion=_fusion(path, records[_FUSION], digital_zoom) if _FUSION in records else None,
         gps=gps,
-        captured_at=_date_time(tags[_DATE_TIME]),
+        captured_at=_date_time(tags[DATE_TIME]),
     )
 
 
 # ---------------------------------------------------------------------------------------------------- container
-
-
-@contextmanager
-def opened(path: Path) -> Iterator[Image.Image]:
-    """A picture's header and segments; its pixels are not decoded.
-
-    Raises:
-        RtgsError: no such file, or it is no image, or it is cut off within its segments.
-    """
-    try:
-        with Image.open(path) as image:
-            yield image
-    except FileNotFoundError as error:
-        raise RtgsError(f"{path}: no such file.") from error
-    except (OSError, SyntaxError, ValueError, struct.error) as error:
-        raise RtgsError(f"{path}: cannot be read as a JPEG (empty, damaged or cut off). {_EXPORT_AGAIN}") from error
 
 
 def _flir_chunks(image: Image.Image) -> list[bytes]:
@@ -170,13 +163,13 @@ def _joined(path: Path, chunks: list[bytes]) -> bytes:
     last = chunks[0][2] if len(chunks[0]) > 3 else -1
     by_index = {chunk[1]: chunk[3:] for chunk in chunks if len(chunk) > 3 and chunk[2] == last}
     if len(by_index) != len(chunks) or sorted(by_index) != list(range(last + 1)):
-        raise RtgsError(f"{path}: has {len(chunks)} of the {last + 1} segments of its FLIR data. {_EXPORT_AGAIN}")
+        raise RtgsError(f"{path}: has {len(chunks)} of the {last + 1} segments of its FLIR data. {EXPORT_AGAIN}")
     return b"".join(by_index[i] for i in range(last + 1))
 
 
 def _records(path: Path, fff: bytes) -> dict[int, bytes]:
     """The first record of each type."""
-    damaged = RtgsError(f"{path}: the directory of its FLIR data is damaged. {_EXPORT_AGAIN}")
+    damaged = RtgsError(f"{path}: the directory of its FLIR data is damaged. {EXPORT_AGAIN}")
     if len(fff) < _HEADER_BYTES or fff[:4] not in (b"FFF\0", b"AFF\0"):
         raise damaged
     order = next((o for o in "><" if 100 <= struct.unpack_from(f"{o}I", fff, 0x14)[0] < 200), None)  # the version says which
@@ -191,7 +184,7 @@ def _records(path: Path, fff: bytes) -> dict[int, bytes]:
         if kind == 0 or kind in records:
             continue
         if offset + length > len(fff):
-            raise RtgsError(f"{path}: record {kind:#x} of its FLIR data is cut off. {_EXPORT_AGAIN}")
+            raise RtgsError(f"{path}: record {kind:#x} of its FLIR data is cut off. {EXPORT_AGAIN}")
         records[kind] = fff[offset : offset + length]
     return records
 
@@ -203,13 +196,13 @@ class _Record:
         self.path, self.what, self.data = path, what, data
         order = next((o for o in "<>" if len(data) >= 2 and struct.unpack_from(f"{o}H", data)[0] == 2), None)
         if order is None:
-            raise RtgsError(f"{path}: the {what} in its FLIR data is damaged. {_EXPORT_AGAIN}")
+            raise RtgsError(f"{path}: the {what} in its FLIR data is damaged. {EXPORT_AGAIN}")
         self.order: str = order
 
     def number(self, kind: str, offset: int) -> float:
         """A number at an offset; `kind` is `struct`'s letter."""
         if offset + struct.calcsize(kind) > len(self.data):
-            raise RtgsError(f"{self.path}: the {self.what} in its FLIR data is cut off. {_EXPORT_AGAIN}")
+            raise RtgsError(f"{self.path}: the {self.what} in its FLIR data is cut off. {EXPORT_AGAIN}")
         value = struct.unpack_from(self.order + kind, self.data, offset)[0]
         return float(str(np.float32(value))) if kind == "f" else float(value)  # 0.95, not 0.949999988
 
@@ -234,11 +227,11 @@ def _counts(path: Path, data: bytes) -> NDArray[np.uint16]:
         )
     else:
         if width == 0 or height == 0 or len(body) < 2 * width * height:
-            raise RtgsError(f"{path}: its raw thermal image is cut off. {_EXPORT_AGAIN}")
+            raise RtgsError(f"{path}: its raw thermal image is cut off. {EXPORT_AGAIN}")
         counts = np.frombuffer(body, f"{record.order}u2", width * height).reshape(height, width).astype(np.uint16)
     if counts.shape != (height, width):
         found = "×".join(map(str, counts.shape[::-1]))
-        raise RtgsError(f"{path}: its raw thermal image is {found} where {width}×{height} is announced. {_EXPORT_AGAIN}")
+        raise RtgsError(f"{path}: its raw thermal image is {found} where {width}×{height} is announced. {EXPORT_AGAIN}")
     return counts
 
 
@@ -275,7 +268,7 @@ def _visible(path: Path, data: bytes) -> bytes:
 
 def _fusion(path: Path, data: bytes, digital_zoom: object) -> Fusion | None:
     if len(data) < 8:
-        raise RtgsError(f"{path}: the fusion settings in its FLIR data are cut off. {_EXPORT_AGAIN}")
+        raise RtgsError(f"{path}: the fusion settings in its FLIR data are cut off. {EXPORT_AGAIN}")
     try:
         zoom = float(digital_zoom)  # type: ignore[arg-type]  # a rational, or None
     except (TypeError, ValueError, ZeroDivisionError):
@@ -292,15 +285,73 @@ def _decode(path: Path, what: str, body: bytes) -> NDArray[Any]:
         with Image.open(io.BytesIO(body)) as image:
             return np.asarray(image)
     except (OSError, SyntaxError, ValueError) as error:
-        raise RtgsError(f"{path}: its {what} is damaged ({error}). {_EXPORT_AGAIN}") from error
-
-
-def _text(value: object) -> str:
-    return value.strip(" \0") if isinstance(value, str) else ""
+        raise RtgsError(f"{path}: its {what} is damaged ({error}). {EXPORT_AGAIN}") from error
 
 
 def _date_time(value: object) -> datetime | None:
     try:
-        return datetime.strptime(_text(value), "%Y:%m:%d %H:%M:%S")
+        return datetime.strptime(exif_text(value), "%Y:%m:%d %H:%M:%S")
     except ValueError:
         return None
+
+
+# ---------------------------------------------------------------------------------------------------- for an import
+
+
+class FlirFormat:
+    """FLIR's files for an import (`CameraFormat`)."""
+
+    def recognises(self, path: Path) -> bool:
+        return is_flir(path)
+
+    def frame_name(self, path: Path) -> str:
+        return path.stem
+
+    def read(self, path: Path) -> Shot:
+        image = read_flir(path)
+        return Shot(
+            image.counts,
+            image.radiometry,
+            image.focal_length_px,
+            _embedded(image),
+            f"has no visible image in it ({image.model or 'unknown camera'})",
+        )
+
+    def visible_partner(self, path: Path) -> Path | None:
+        return None  # these cameras embed the visible picture
+
+    def visible_focal_px(self, path: Path) -> float | None:
+        return None
+
+
+FORMAT: CameraFormat = FlirFormat()
+
+
+def _embedded(image: FlirImage) -> VisiblePicture | None:
+    """The embedded picture as a file of its own, with the camera, the time and the GPS position of the file around it.
+
+    How much wider the visible camera sees, and where the thermal image lies in its picture, are the camera's fusion settings.
+    """
+    if image.visible_file is None:
+        return None
+    exif = Image.Exif()
+    time = image.captured_at.strftime("%Y:%m:%d %H:%M:%S") if image.captured_at else ""
+    for tag, text in ((MAKE, image.make), (MODEL, image.model), (DATE_TIME, time)):
+        if text:
+            exif[tag] = text
+    if image.gps:
+        exif.get_ifd(GPS_IFD).update(image.gps)
+    with Image.open(io.BytesIO(image.visible_file)) as picture:
+        width = picture.width
+        if image.visible_file.startswith(b"\xff\xd8"):
+            file, suffix = with_exif(image.visible_file, exif.tobytes()), ".jpg"
+        else:
+            target = io.BytesIO()
+            picture.save(target, "PNG", exif=exif)
+            file, suffix = target.getvalue(), ".png"
+    fusion, focal, hint = image.fusion, image.focal_length_px, None
+    if fusion is None:
+        return VisiblePicture(file, suffix)
+    if focal is not None:
+        hint = focal * width / image.counts.shape[1] / (fusion.real2ir / max(1.0, fusion.digital_zoom))
+    return VisiblePicture(file, suffix, focal_hint_px=hint, thermal_centre_px=(float(fusion.offset_x), float(fusion.offset_y)))
