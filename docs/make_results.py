@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import re
 import shlex
 import subprocess
 import sys
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
+
+from rtgs.experiments.provenance import HEADING, Provenance
 
 ROOT = Path(__file__).parents[1]
 SCENES = ("chair", "drums", "hotdog", "lego", "materials", "ship", "room")
@@ -78,24 +78,13 @@ PAGES = {
 
 def header(command: str) -> str:
     """Command, version, machine and date as a table. The machine is described, never named."""
-    sys.path.insert(0, str(ROOT / "src"))
-    import rtgs
-
-    cpu = Path("/proc/cpuinfo")
-    model = (
-        next((line.split(":", 1)[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")), "")
-        if cpu.exists()
-        else ""
-    )
-    machine = f"{model or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    rows = (("command", f"`{command}`"), ("version", rtgs.__version__), ("machine", machine), ("date", date.today().isoformat()))
-    return "| measured with | |\n|---|---|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows)
+    return Provenance.of(command).markdown()
 
 
 def tables(text: str) -> str:
-    """The Markdown tables in a command's output, one blank line between them."""
+    """The Markdown tables in a command's output, one blank line between them, without the command's own provenance."""
     blocks = re.findall(r"(?:^\|.*\n?)+", text + "\n", flags=re.MULTILINE)
-    return "\n\n".join(block.strip() for block in blocks)
+    return "\n\n".join(block.strip() for block in blocks if not block.startswith(f"| {HEADING} |"))
 
 
 def fill(page: str, content: str) -> str:

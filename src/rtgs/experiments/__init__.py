@@ -1,1 +1,1 @@
-"""The tables behind `rtgs experiment`."""
+"""Experiments: the tables that `rtgs experiment` makes, of this method beside its rivals."""

@@ -1,4 +1,4 @@
-"""Figures of a bench: error against the start, and how many trials stay below an error."""
+"""Figures of the synthetic experiment: error against the start, and how many trials stay below an error."""
 
 from __future__ import annotations
 

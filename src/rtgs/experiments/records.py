@@ -1,13 +1,13 @@
-"""What a bench leaves in its folder: one small file a trial, row and method, written whole or not at all."""
+"""What the synthetic experiment leaves in its folder: one small file a trial, row and method, written whole or not at all."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import read_run_json, write_json
+from rtgs.base.json_records import read_record, read_run_json, write_json
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Record:
 
 
 class ExperimentFolder:
-    """Scenes, records, tables and figures of one bench.
+    """Scenes, records, tables and figures of one experiment.
 
     Raises:
         RtgsError: it holds results of other settings, or something else.
@@ -52,10 +52,11 @@ class ExperimentFolder:
             if read_run_json(written) != settings:
                 raise RtgsError(f"{self.path}: holds results of other settings ({written.name}); name another folder.")
         elif self.path.is_dir() and any(self.path.iterdir()):
-            raise RtgsError(f"{self.path}: holds something other than a bench; name a new or empty folder.")
+            raise RtgsError(f"{self.path}: holds something other than an experiment; name a new or empty folder.")
         for folder in (self.path, self.path / "records", self.path / "scenes"):
             folder.mkdir(parents=True, exist_ok=True)
-        write_json(written, settings)
+        if not written.exists():
+            write_json(written, settings)
 
     def scene(self, name: str) -> Path:
         return self.path / "scenes" / name
@@ -67,15 +68,12 @@ class ExperimentFolder:
         return self.record_path(scene, seed, variant, method).exists()
 
     def write(self, record: Record) -> None:
-        write_json(self.record_path(record.scene, record.seed, record.variant, record.method), asdict(record))
+        write_json(self.record_path(record.scene, record.seed, record.variant, record.method), record)
 
     def records(self) -> list[Record]:
-        """All there are, by file name."""
-        known = {f.name for f in fields(Record)}
-        found = []
-        for path in sorted((self.path / "records").glob("*.json")):
-            data = read_run_json(path)
-            if not isinstance(data, dict) or set(data) - known:
-                raise RtgsError(f"{path}: is no record of this version; remove it to have it made again.")
-            found.append(Record(**data))
-        return found
+        """All there are, by file name.
+
+        Raises:
+            RtgsError: a file is no record of this version.
+        """
+        return [read_record(Record, path) for path in sorted((self.path / "records").glob("*.json"))]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.base.json_records import read_run_json, write_json
+from rtgs.base.json_records import read_record, write_json
 from rtgs.config import RgbConfig, SfmConfig, SynthConfig
 from rtgs.experiments.variants import Variant
 from rtgs.io.capture import load_capture
@@ -48,12 +48,21 @@ def prepare(folder: Path, config: SynthConfig, rgb: RgbConfig) -> None:
     model = fit_rgb(scene, rgb)
     run.write_rgb(model)
     scores = model.history["held_out_psnr"]
-    write_json(done, {"psnr_db": scores[-1], "gaussians": len(model.gaussians), "points": len(scene.points)})
+    write_json(done, SceneFacts(scores[-1], len(model.gaussians), len(scene.points)))
 
 
-def scene_facts(folder: Path) -> dict[str, float]:
-    """Of a prepared scene: "psnr_db" (held out), "gaussians", "points"."""
-    return read_run_json(folder / "scene.json")
+@dataclass(frozen=True)
+class SceneFacts:
+    """What is known of a prepared scene: held-out PSNR of its RGB model in dB, and how many Gaussians and SfM points it has."""
+
+    psnr_db: float
+    gaussians: int
+    points: int
+
+    @staticmethod
+    def read(folder: Path) -> SceneFacts:
+        """From what `prepare` left in the folder."""
+        return read_record(SceneFacts, folder / "scene.json")
 
 
 @dataclass(frozen=True, eq=False)

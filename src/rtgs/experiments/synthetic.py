@@ -68,7 +68,7 @@ def synthetic_experiment(out: Path, config: SyntheticExperimentConfig, *, progre
         RtgsError: a setting out of range, or a folder of other settings.
     """
     config.check()
-    folder = ExperimentFolder(out, _settings(config))
+    folder = ExperimentFolder(out, folder_settings(config))
     tasks = [t for t in tasks_of(config) if _missing(folder, t)]
     scenes = list(dict.fromkeys(t.scene for t in tasks))
     done, total = 0, len(scenes) + len(tasks)
@@ -91,7 +91,7 @@ def synthetic_experiment(out: Path, config: SyntheticExperimentConfig, *, progre
                 complete({pool.submit(_prepare, str(out), config, name): f"{name}: RGB model" for name in scenes})
                 complete({pool.submit(_perform, str(out), config, t): f"{t.scene}, seed {t.seed}" for t in tasks})
             except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
+                pool.shutdown(cancel_futures=True)  # waits for what is under way: nothing is written after the call has ended
                 raise
     return write_tables(folder, config)
 
@@ -114,7 +114,8 @@ def scene_config(config: SyntheticExperimentConfig, scene: SceneName) -> SynthCo
     return SynthConfig(scene=scene, frames=config.frames, size=config.size, thermal_clean=False)
 
 
-def _settings(config: SyntheticExperimentConfig) -> dict[str, object]:
+def folder_settings(config: SyntheticExperimentConfig) -> dict[str, object]:
+    """What must agree for an earlier call's records to be kept."""
     return {"size": config.size, "frames": config.frames, "rgb": to_json(config.rgb)}
 
 
@@ -138,12 +139,12 @@ def _single_threaded() -> None:
 
 
 def _prepare(out: str, config: SyntheticExperimentConfig, scene: SceneName) -> None:
-    folder = ExperimentFolder(Path(out), _settings(config))
+    folder = ExperimentFolder(Path(out), folder_settings(config))
     prepare(folder.scene(scene), scene_config(config, scene), config.rgb)
 
 
 def _perform(out: str, config: SyntheticExperimentConfig, task: Task) -> None:
-    folder = ExperimentFolder(Path(out), _settings(config))
+    folder = ExperimentFolder(Path(out), folder_settings(config))
     trial = Trial.read(folder.scene(task.scene), scene_config(config, task.scene), task.seed)
     for rows in groups(task.variants):
         missing = [(v, m) for v, m in _missing(folder, task) if v in rows]
@@ -183,7 +184,7 @@ def _by_ours(own: Own, trial: Trial, task: Task, variant: Variant, scene: Scene)
 
 def _by_run(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
     """Adam, rendering at every step."""
-    objective = MUTUAL_INFORMATION.objective(_pictures(trial, scene), _normalised(scene), scene.capture.thermal_mask)
+    objective = MUTUAL_INFORMATION.objective(_pictures(trial, scene), normalised_thermal(scene), scene.capture.thermal_mask)
     started = time.process_time()
     theta, history = adam(objective, math.log(trial.start), PAPER)
     seconds = time.process_time() - started
@@ -224,7 +225,7 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
     frames = scene.train_frames
     flow = flow_per_unit(scene, trial.model.gaussians, trial.model.settings)
     pixel = min(1.0 / float(np.percentile(flow, 90)), WIDEST_PIXEL * trial.truth)
-    thermal = {v.key: _normalised(scenes[v.key]) for v, _ in descents}
+    thermal = {v.key: normalised_thermal(scenes[v.key]) for v, _ in descents}
     mask = scene.capture.thermal_mask
     losses = {f"{v.key}.{r.key}": (r, [r.loss(image, mask) for image in thermal[v.key].values()]) for v, r in descents}
     curves = Curves(_pictures(trial, scene), losses, pixel)
@@ -265,7 +266,7 @@ def _reduced(scene: Scene, variant: Variant) -> Scene:
     return replace(scene, world_from_rgb={f.name: scene.world_from_rgb[f.name] for f in _chosen(scene, variant)})
 
 
-def _normalised(scene: Scene) -> dict[str, NDArray[np.float32]]:
+def normalised_thermal(scene: Scene) -> dict[str, NDArray[np.float32]]:
     """Thermal images of the training frames in [0, 1], over their common range."""
     lo, hi = thermal_range([f.thermal[scene.capture.thermal_mask] for f in scene.train_frames], 0.0)
     return {f.name: ((f.thermal - lo) / (hi - lo)).astype(np.float32) for f in scene.train_frames}

@@ -1,22 +1,22 @@
-"""Tables of a bench: statistics of its records as Markdown and CSV, and the figures beside them."""
+"""Tables of the synthetic experiment: statistics of its records as Markdown and CSV, and the figures beside them."""
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from rtgs.base.files import write_text_whole, write_whole
 from rtgs.config import SyntheticExperimentConfig
 from rtgs.experiments.ablation import ABLATION
+from rtgs.experiments.csv_files import write_records_csv
 from rtgs.experiments.figures import draw_errors
+from rtgs.experiments.provenance import Page, Provenance, command_line
 from rtgs.experiments.records import ExperimentFolder, Record
 from rtgs.experiments.rivals import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
-from rtgs.experiments.scenery import scene_facts
+from rtgs.experiments.scenery import SceneFacts
 from rtgs.experiments.variants import FAR, FAR_SCENE, REFERENCE, ROWS, Variant
 from rtgs.records.capture import Split
 
@@ -64,37 +64,36 @@ class Summary:
 
 
 def write_tables(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> list[Path]:
-    """Markdown, CSV and figures of the tables asked for, from the records that are there."""
+    """Markdown, CSV and figures of the tables asked for, from the records that are there; returns the paths."""
     records = [r for r in folder.records() if r.scene in (*config.scenes, FAR_SCENE) and r.seed < config.seeds]
-    written = [_write_csv(folder.path / "trials.csv", Record, records)]
+    written = [write_records_csv(folder.path / "trials.csv", Record, records)]
+    command = "rtgs experiment synthetic --out DIR"
+    provenance = Provenance.of(command_line(command, config, SyntheticExperimentConfig()))
     for table in config.tables:
         if table == "1":
-            text, summaries = table_1(records, config)
-            text += "\n" + scene_table(folder, config)
-            written.append(_write_csv(folder.path / "table1.csv", Summary, summaries))
+            page, summaries = table_1(records, config)
+            page = Page(page.title, page.body + "\n" + scene_table(folder, config))
+            written.append(write_records_csv(folder.path / "table1.csv", Summary, summaries))
             written += draw_errors(folder.path, [r for r in records if r.variant == REFERENCE and r.method in TITLES], TITLES)
         elif table == "ablation":
-            text = ablation_table(records, config)
+            page = ablation_table(records, config)
         else:
             rows = (*ROWS[table], FAR) if table == "beyond" else ROWS[table]
             here = [r for r in records if r.variant in {row.key for row in rows} and r.method in _OTHERS]
             title = "Table II: sensitivity" if table == "2" else "Beyond the paper"
-            text = rows_table(here, rows, f"{title}{_where(here, config)}")
-        path = folder.path / f"table_{table}.md"
-        write_text_whole(path, text)
-        written.append(path)
+            page = Page(f"{title}{_where(here, config)}", rows_table(here, rows))
+        written.append(page.write(folder.path / f"table_{table}.md", provenance))
     return written
 
 
-def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tuple[str, list[Summary]]:
-    """Markdown and its rows."""
+def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tuple[Page, list[Summary]]:
+    """The page and its rows."""
     here = [r for r in records if r.variant == REFERENCE]
     groups = {key: [r for r in here if r.method == key] for key in TITLES}
     most = max(groups.values(), key=len)
     summaries = [Summary.of_starts(most)] if most else []
     summaries += [Summary.of(key, found) for key, found in groups.items() if found]
-    lines = [f"### Table I: scale recovery{_where(here, config)}", ""]
-    lines += ["| method | trials | Med % | P90 % | SR@2 % | iterations | renders | seconds, one core |", "|---|" + "---:|" * 7]
+    lines = ["| method | trials | Med % | P90 % | SR@2 % | iterations | renders | seconds, one core |", "|---|" + "---:|" * 7]
     for s in summaries:
         counts = ["–"] * 3 if math.isnan(s.renders) else [f"{s.iterations:.0f}", f"{s.renders:,.0f}", f"{s.seconds:.1f}"]
         title = TITLES.get(s.method, "Init")
@@ -102,13 +101,13 @@ def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tup
             f"| {title} | {s.trials} | {s.median_pct:.2f} | {s.p90_pct:.2f} | {s.success_pct:.0f} | " + " | ".join(counts) + " |"
         )
     lines += ["", *_comparison(groups), *_checks(here)]
-    return "\n".join(lines) + "\n", summaries
+    return Page(f"Table I: scale recovery{_where(here, config)}", "\n".join(lines) + "\n"), summaries
 
 
-def rows_table(records: Sequence[Record], rows: Sequence[Variant], title: str) -> str:
+def rows_table(records: Sequence[Record], rows: Sequence[Variant]) -> str:
     """Med % / SR@2 % for each row and method."""
     methods = [key for key in _OTHERS if any(r.method == key for r in records)]
-    lines = [f"### {title}", "", "Med % / SR@2 %, of s; in brackets Med % of s·|t|, where the rig's length is off.", ""]
+    lines = ["Med % / SR@2 %, of s; in brackets Med % of s·|t|, where the rig's length is off.", ""]
     lines += [
         "| perturbation | level | " + " | ".join(TITLES.get(m, m) for m in methods) + " |",
         "|---|---|" + "---:|" * len(methods),
@@ -130,12 +129,11 @@ def rows_table(records: Sequence[Record], rows: Sequence[Variant], title: str) -
     return "\n".join(lines) + "\n"
 
 
-def ablation_table(records: Sequence[Record], config: SyntheticExperimentConfig) -> str:
+def ablation_table(records: Sequence[Record], config: SyntheticExperimentConfig) -> Page:
     """The search as it is, and with one setting changed."""
     methods = (OURS, *ABLATION)
     here = [r for r in records if r.variant == REFERENCE and r.method in {m.key for m in methods}]
-    lines = [f"### Ablation of the search{_where(here, config)}", ""]
-    lines += [
+    lines = [
         "| changed | Med % | P90 % | worst % | SR@2 % | half-width % | renders | seconds, one core |",
         "|---|" + "---:|" * 7,
     ]
@@ -150,15 +148,15 @@ def ablation_table(records: Sequence[Record], config: SyntheticExperimentConfig)
                 f"| {'nothing' if method is OURS else method.title} | {own.median_pct:.3f} | {own.p90_pct:.3f} | {worst:.3f} "
                 f"| {own.success_pct:.0f} | {width} | {own.renders:,.0f} | {own.seconds:.1f} |"
             )
-    return "\n".join(lines) + "\n"
+    return Page(f"Ablation of the search{_where(here, config)}", "\n".join(lines) + "\n")
 
 
 def scene_table(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> str:
     """The RGB models."""
     lines = ["| scene | points | Gaussians | RGB held out, dB |", "|---|---:|---:|---:|"]
     for name in config.scenes:
-        facts = scene_facts(folder.scene(name))
-        lines.append(f"| {name} | {facts['points']:,} | {facts['gaussians']:,} | {facts['psnr_db']:.2f} |")
+        facts = SceneFacts.read(folder.scene(name))
+        lines.append(f"| {name} | {facts.points:,} | {facts.gaussians:,} | {facts.psnr_db:.2f} |")
     return "\n".join(lines) + "\n"
 
 
@@ -200,11 +198,3 @@ def _checks(records: Sequence[Record]) -> list[str]:
         f"information were also run at every step ({seconds:.0f} s of one core each): at most {apart:.3f} points of s apart.",
         "",
     ]
-
-
-def _write_csv(path: Path, kind: type, rows: Iterable[object]) -> Path:
-    with write_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(kind)])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)  # type: ignore[call-overload]
-    return path

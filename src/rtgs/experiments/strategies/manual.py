@@ -7,7 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import to_json
+from rtgs.base.progress import Progress
 from rtgs.config import ManualConfig
+from rtgs.experiments.strategies.strategy import Given, Placement, Strategy
 from rtgs.records.camera import Camera
 from rtgs.records.scene import Scene
 
@@ -87,3 +90,10 @@ def ray(camera: Camera, pixel: tuple[float, float]) -> NDArray[np.float64]:
         x, y = cv2.undistortPoints(point, matrix, np.array([camera.k1, camera.k2, camera.p1, camera.p2]))[0, 0]
     direction = np.array([x, y, 1.0])
     return direction / np.linalg.norm(direction)
+
+
+def _place(given: Given, progress: Progress) -> Placement:
+    return Placement(given.scene, manual_scale(given.scene, given.config.manual))
+
+
+MANUAL = Strategy("manual", "Manual", _place, lambda given: to_json(given.config.manual))

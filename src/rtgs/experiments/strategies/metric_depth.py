@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
+from rtgs.experiments.strategies.strategy import Given, Placement, Strategy, file_times
 from rtgs.models import RgbModel
 from rtgs.records.scene import Scene
 from rtgs.renderer import render
@@ -84,3 +85,14 @@ def load_depth_model(folder: Path) -> DepthPredictor:
         return np.asarray(whole[0, 0].numpy(), np.float32)
 
     return predict
+
+
+def _place(given: Given, progress: Progress) -> Placement:
+    folder = given.config.depth_model
+    if folder is None:
+        raise RtgsError(ABSENT)
+    predict = load_depth_model(folder)
+    return Placement(given.scene, scale_from_depth(given.scene, given.rgb_model, predict, progress=progress))
+
+
+METRIC_DEPTH = Strategy("depth", "Metric depth", _place, lambda given: file_times(given.config.depth_model))

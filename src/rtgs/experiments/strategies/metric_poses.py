@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
+from rtgs.experiments.strategies.strategy import Given, Placement, Strategy, file_times
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
@@ -160,3 +161,13 @@ def _as_view(frame: Frame, index: int, camera: Camera) -> tuple[dict[str, Any], 
         "instance": str(index),
     }
     return view, cropped
+
+
+def _place(given: Given, progress: Progress) -> Placement:
+    weights = given.config.mast3r_weights
+    if weights is None:
+        raise RtgsError(ABSENT)
+    return Placement(given.scene, scale_from_pairs(given.scene, load_mast3r(weights), progress=progress))
+
+
+MAST3R = Strategy("mast3r", "MASt3R", _place, lambda given: file_times(given.config.mast3r_weights))

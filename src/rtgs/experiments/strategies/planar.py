@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.progress import Progress
+from rtgs.experiments.strategies.strategy import Given, Placement, Strategy
 from rtgs.maths.geometry import SE3
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
@@ -82,3 +84,11 @@ class PlanarScene:
         """A render at the RGB pose in the thermal camera's pixels, NaN where there is none."""
         thermal, _ = warp(image, np.ones(image.shape, bool), self.rgb_from_thermal, self.thermal_valid.shape)
         return np.where(self.thermal_valid, thermal, np.float32(np.nan))
+
+
+def _place(given: Given, progress: Progress) -> Placement:
+    warped = PlanarScene.of(given.scene, given.config.plane_m)
+    return Placement(warped.scene, None, warped.warped_back)
+
+
+PLANAR = Strategy("planar", "Planar", _place, lambda given: given.config.plane_m)

@@ -1,0 +1,135 @@
+"""Scores of Table III's rows: all on the same pixels, those that every row has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtgs.base.errors import RtgsError
+from rtgs.base.progress import Progress
+from rtgs.config import RealExperimentConfig
+from rtgs.experiments.real_rows import Row
+from rtgs.metrics.basic import mae, psnr, ssim_index
+from rtgs.metrics.lpips import SMALLEST_PX, Lpips, Network
+from rtgs.records.scene import Scene
+from rtgs.thermal import training_range
+
+NETWORKS: dict[str, Network] = {"lpips_alex": "alexnet", "lpips_vgg": "vgg16"}
+HEADINGS = {
+    "psnr_db": "PSNR, dB",
+    "ssim": "SSIM",
+    "lpips_alex": "LPIPS (AlexNet)",
+    "lpips_vgg": "LPIPS (VGG)",
+    "mae_c": "MAE, °C",
+    "mae_counts": "MAE, counts",
+    "region_c": "region, °C",
+    "region_counts": "region, counts",
+}
+DIGITS = {"psnr_db": 2, "mae_counts": 1, "region_c": 2, "region_counts": 1}  # three for the others
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Scores of the rows that ran.
+
+    Attributes:
+        frames: row → held-out frame → score → value. means: row → score → mean over frames, and the region's mean temperature.
+        share: of the thermal image that was scored.
+        lo, hi, unit: of the range. missing: sentences about scores that there are not.
+    """
+
+    frames: dict[str, dict[str, dict[str, float]]]
+    means: dict[str, dict[str, float]]
+    share: float
+    lo: float
+    hi: float
+    unit: str
+    region_note: str
+    missing: list[str]
+
+    @property
+    def names(self) -> list[str]:
+        """The scores of any row, in the order of the table's columns."""
+        return list(dict.fromkeys(name for values in self.means.values() for name in values))
+
+    def lines(self) -> list[str]:
+        """For a terminal: a line a row."""
+        return [
+            f"{key}: " + ", ".join(f"{HEADINGS[k]} {shown(k, v)}" for k, v in values.items())
+            for key, values in self.means.items()
+        ]
+
+
+def common_mask(scene: Scene, rows: Sequence[Row]) -> NDArray[np.bool_]:
+    """`[h, w]`: thermal pixels that are valid and that every row which ran has, in every frame."""
+    mask = scene.capture.thermal_mask.copy()
+    for row in rows:
+        for image in row.images.values():
+            mask &= np.isfinite(image)
+    return mask
+
+
+def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progress: Progress) -> Scored:
+    """Every row that ran, on the pixels that all of them have.
+
+    Raises:
+        RtgsError: the region has no such pixel.
+    """
+    mask, span = common_mask(scene, rows), training_range(scene)
+    radiometry = scene.capture.radiometry
+    nets, missing = _networks(mask)
+    frames: dict[str, dict[str, dict[str, float]]] = {}
+    means: dict[str, dict[str, float]] = {}
+    ran = [row for row in rows if row.images]
+    references = {f.name: f.thermal for f in scene.held_out_frames}
+    for done, row in enumerate(ran):
+        own = frames[row.key] = {}
+        for name, image in row.images.items():
+            a, b = span.normalise(np.where(mask, image, span.lo)), span.normalise(references[name])
+            own[name] = {
+                "psnr_db": psnr(a, b, mask=mask),
+                "ssim": ssim_index(a, b, mask=mask),
+                **{key: net(a, b, mask=mask) for key, net in nets.items()},
+                f"mae_{radiometry.suffix}": mae(image, references[name], mask=mask),
+            }
+        means[row.key] = {key: float(np.mean([s[key] for s in own.values()])) for key in next(iter(own.values()))}
+        progress(done + 1, 2 * len(ran), row.title)
+    note = ""
+    if config.region is not None:
+        left, top, right, bottom = config.region
+        name = config.region_frame or scene.held_out_frames[0].name
+        inside = np.zeros_like(mask)
+        inside[top:bottom, left:right] = mask[top:bottom, left:right]
+        if not inside.any():
+            raise RtgsError(
+                f"--region {left} {top} {right} {bottom}: no row's pixels are compared there; choose one further inside."
+            )
+        for row in ran:
+            means[row.key][f"region_{radiometry.suffix}"] = float(row.images[name][inside].mean())
+        shows = float(references[name][inside].mean())
+        note = (
+            f"Region: mean over x {left} to {right}, y {top} to {bottom} of {name}; "
+            f"the thermal image shows {shows:.2f} {radiometry.unit}."
+        )
+    return Scored(frames, means, float(mask.mean()), span.lo, span.hi, radiometry.unit, note, missing)
+
+
+def _networks(mask: NDArray[np.bool_]) -> tuple[dict[str, Lpips], list[str]]:
+    """The LPIPS networks that can be had, and sentences about the others."""
+    if min(mask.shape) < SMALLEST_PX:
+        return {}, [f"No LPIPS: the thermal images are under {SMALLEST_PX} px a side."]
+    found, missing = {}, []
+    for key, network in NETWORKS.items():
+        try:
+            found[key] = Lpips.load(network)
+        except RtgsError as error:
+            missing.append(f"No {HEADINGS[key]}: {error}")
+    return found, missing
+
+
+def shown(name: str, value: float) -> str:
+    """A score as tables have it."""
+    return f"{value:.{DIGITS.get(name, 3)}f}"
