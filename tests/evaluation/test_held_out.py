@@ -18,7 +18,7 @@ from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.maths.sh import C0
 from rtgs.metrics.basic import psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips
-from rtgs.models import RgbModel, ThermalModel
+from rtgs.models import RgbModel, SensorModel, ThermalModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
@@ -231,7 +231,7 @@ def test_a_held_out_photograph_is_compared_with_the_drift_of_its_neighbours() ->
     frames = tuple(replace(f, thermal=f.thermal + np.float32(offsets[f.name])) for f in scene.capture.frames)
     warming = replace(scene, capture=replace(scene.capture, frames=frames))
     drift = {name: (1.0, offset) for name, offset in offsets.items() if name not in HELD_OUT}
-    known, unknown = (evaluate(warming, rgb, m).thermal.per_frame for m in (replace(thermal, drift=drift), thermal))
-    expected = replace(thermal, drift=drift).drift_of("008")[1]
+    known, unknown = (evaluate(warming, rgb, m).thermal.per_frame for m in (replace(thermal, sensor=SensorModel(drift)), thermal))
+    expected = replace(thermal, sensor=SensorModel(drift)).drift_of("008")[1]
     assert 2.0 < expected < 4.0 and unknown["008"].mae_c == pytest.approx(4.0, abs=1e-3)
     assert known["008"].mae_c == pytest.approx(4.0 - expected, abs=1e-3)

@@ -35,6 +35,8 @@ from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_sparse
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
+from rtgs.models import SensorModel
+from rtgs.records.decision import Decision
 from rtgs.records.radiometry import ObjectParameters, PlanckCalibration, PlanckRadiometry
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
@@ -186,11 +188,13 @@ def all_stand(run: Path) -> bool:
 
 def test_a_sensors_pattern_is_kept_beside_its_model(finished: Path, tmp_path: Path) -> None:
     model = RunFolder(finished).read_thermal()
-    assert model.pattern is None and not (finished / "thermal_pattern.tiff").exists()
+    assert model.sensor.pattern is None and not (finished / "thermal_pattern.tiff").exists()
     folder = RunFolder(tmp_path)
     pattern = np.random.default_rng(0).normal(size=(24, 24)).astype(np.float32)
-    folder.write_thermal(replace(model, pattern=pattern), celsius=True)
-    found = folder.read_thermal().pattern
+    decision = Decision("pattern", "removed", "It lowers the error.", 0.3, 0.2, "°C", 0.1)
+    folder.write_thermal(replace(model, sensor=SensorModel(pattern=pattern), decisions=(decision,)), celsius=True)
+    assert folder.read_thermal().decisions == (decision,)
+    found = folder.read_thermal().sensor.pattern
     assert found is not None and found.dtype == np.float32
     np.testing.assert_array_equal(found, pattern)
     assert not list(tmp_path.glob(".*"))

@@ -5,98 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, held_out_error_c, known, with_thermal
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import ThermalConfig
 from rtgs.evaluation.held_out import evaluate
-from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.maths.sh import C0
-from rtgs.metrics.basic import mae
-from rtgs.models import RgbModel, ThermalModel
-from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
-from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import CELSIUS, LinearRange, RelativeCounts
-from rtgs.records.rig import Rig
-from rtgs.records.scene import Scene
-from rtgs.renderer import RenderSettings
+from rtgs.models import ThermalModel
+from rtgs.records.radiometry import RelativeCounts
 from rtgs.thermal import fit_thermal, training_range
 
-RIG = Rig(
-    Camera("PINHOLE", 32, 28, 34.0, 34.0, 16.0, 14.0),
-    Camera("PINHOLE", 36, 30, 40.0, 41.0, 17.5, 15.3),
-    SE3(rotation_from_axis_angle([0.02, -0.03, 0.04]), np.array([0.25, -0.07, 0.03])),
-)
-SFM_PER_METRE = 1.7
 QUICK = ThermalConfig(solver="adam", steps=20)
-
-
-def assembled(poses: list[SE3], thermal: list[np.ndarray], *, unit: str = "celsius", mask: np.ndarray | None = None) -> Scene:
-    blank = np.zeros((RIG.rgb.height, RIG.rgb.width, 3), np.float32)
-    capture = Capture(
-        root=Path(),
-        raw_rig=RIG,
-        rig=RIG,
-        frames=tuple(Frame(f"{i:03d}", blank, image) for i, image in enumerate(thermal)),
-        rgb_mask=np.ones(blank.shape[:2], bool),
-        thermal_mask=np.ones((RIG.thermal.height, RIG.thermal.width), bool) if mask is None else mask,
-        radiometry=CELSIUS if unit == "celsius" else RelativeCounts(),
-        poses=None,
-    )
-    none = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
-    return Scene(capture, {f.name: p for f, p in zip(capture.frames, poses, strict=True)}, none, {})
-
-
-def with_thermal(scene: Scene, images: dict[str, np.ndarray], **changes: object) -> Scene:
-    """The same scene with some frames' thermal images replaced."""
-    frames = tuple(replace(f, thermal=images.get(f.name, f.thermal)) for f in scene.capture.frames)
-    return replace(scene, capture=replace(scene.capture, frames=frames, **changes))
-
-
-@lru_cache(maxsize=1)
-def known() -> tuple[Scene, RgbModel, ThermalModel]:
-    """A ball of 150 Gaussians with known temperatures of 15 to 45 °C, before a wall at 20 °C; frames 0 and 8 are held out."""
-    g = torch.Generator().manual_seed(1)
-    n = 150
-    directions = torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1)
-    ball = Gaussians(
-        SFM_PER_METRE * directions * (0.7 + 0.3 * torch.rand(n, 1, generator=g)),
-        torch.randn(n, 4, generator=g),
-        math.log(0.13 * SFM_PER_METRE) + 0.2 * torch.randn(n, 3, generator=g),
-        torch.full((n,), 2.0),
-        (torch.rand(n, 4, 3, generator=g) - 0.5) / C0,
-    )
-    settings = RenderSettings(near_plane=0.05)
-    rgb = RgbModel(ball, torch.tensor([0.1, 0.3, 0.2]), settings)
-    hot = replace(ball, sh=(torch.rand(n, 1, 1, generator=g) - 0.5) / C0)
-    truth = ThermalModel(hot, torch.tensor([1 / 6]), LinearRange(15.0, 45.0), settings, SFM_PER_METRE)
-    poses = []
-    for k in range(10):
-        eye = SFM_PER_METRE * np.array([2.6 * math.cos(0.7 * k), 2.6 * math.sin(0.7 * k), 0.9 * math.sin(1.9 * k)])
-        poses.append(look_at(eye, [0, 0, 0]))
-    blank = np.zeros((RIG.thermal.height, RIG.thermal.width), np.float32)
-    scene = assembled(poses, [blank] * len(poses))
-    images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
-    return with_thermal(scene, images), rgb, truth
 
 
 @lru_cache(maxsize=4)
 def fitted(sfm_per_metre: float = SFM_PER_METRE) -> ThermalModel:
     scene, rgb, _ = known()
     return fit_thermal(scene, rgb, sfm_per_metre, ThermalConfig(solver="adam", steps=400, learning_rate=3e-2))
-
-
-def held_out_error_c(scene: Scene, model: ThermalModel) -> float:
-    pairs = [
-        (model.render(RIG.thermal, scene.thermal_from_world(f.name, model.sfm_per_metre)), f.thermal)
-        for f in scene.held_out_frames
-    ]
-    return float(np.mean([mae(a, b) for a, b in pairs]))
 
 
 def test_geometry_and_opacity_stay_bit_for_bit() -> None:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tests.thermal.test_adam import RIG, SFM_PER_METRE, held_out_error_c, with_thermal
-from tests.thermal.test_linear import ring
+from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, held_out_error_c, ring, with_thermal
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import ThermalConfig
@@ -104,7 +103,7 @@ def test_drift_is_told_in_the_signal() -> None:
     signal = {f.name: CALIBRATION.blackbody_signal(f.thermal) + offsets[f.name] for f in scene.capture.frames}
     moved = {name: CALIBRATION.blackbody_celsius(s).astype(np.float32) for name, s in signal.items()}
     model = fit_thermal(with_thermal(scene, moved), rgb, SFM_PER_METRE, ThermalConfig(drift="offset"))
-    found = np.array([model.drift[f.name][1] for f in scene.train_frames])
+    found = np.array([model.sensor.drift[f.name][1] for f in scene.train_frames])
     true = np.array([offsets[f.name] for f in scene.train_frames])
     np.testing.assert_allclose(found - np.median(found), true - np.median(true), atol=4.0)
 

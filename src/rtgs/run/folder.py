@@ -16,14 +16,15 @@ from PIL import Image
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import recover, write_whole
-from rtgs.base.json_records import read_run_json, to_json, write_json
+from rtgs.base.json_records import from_json, read_run_json, to_json, write_json
 from rtgs.config import RunConfig
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.image_files import IMAGE_SUFFIXES
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.io.rig import read_json_object, without_radiometry
-from rtgs.models import GaussianTemperatures, RgbModel, ThermalModel
+from rtgs.models import GaussianTemperatures, RgbModel, SensorModel, ThermalModel
 from rtgs.records.capture import Capture
+from rtgs.records.decision import Decision
 from rtgs.records.radiometry import Atmosphere, LinearRange, PlanckCalibration, PlanckRange, ThermalRange
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
@@ -148,17 +149,19 @@ class RunFolder:
 
     def write_thermal(self, model: ThermalModel, name: str = "thermal", *, celsius: bool) -> None:
         write_thermal_ply(self.path / f"{name}.ply", model, celsius=celsius)
-        if model.pattern is not None:
+        sensor = model.sensor
+        if sensor.pattern is not None:
             with write_whole(self.path / f"{name}_pattern.tiff") as temporary:
-                Image.fromarray(model.pattern).save(temporary, format="TIFF")
+                Image.fromarray(sensor.pattern).save(temporary, format="TIFF")
         self._write_model(
             f"{name}.json",
             model,
             range=asdict(model.range),
             color_range=asdict(model.colors),
             sfm_per_metre=model.sfm_per_metre,
-            drift=dict(model.drift),
-            pattern=None if model.pattern is None else f"{name}_pattern.tiff",
+            drift=dict(sensor.drift),
+            pattern=None if sensor.pattern is None else f"{name}_pattern.tiff",
+            decisions=to_json(model.decisions),
         )
 
     def read_thermal(self, name: str = "thermal") -> ThermalModel:
@@ -179,9 +182,12 @@ class RunFolder:
             data["sfm_per_metre"],
             data["history"],
             _color_range(data["color_range"]),
-            {frame: (gain, offset) for frame, (gain, offset) in data["drift"].items()},
-            np.asarray(Image.open(self.path / data["pattern"])) if data.get("pattern") else None,
+            SensorModel(
+                {frame: (gain, offset) for frame, (gain, offset) in data["drift"].items()},
+                np.asarray(Image.open(self.path / data["pattern"])) if data.get("pattern") else None,
+            ),
             GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
+            tuple(from_json(Decision, d, f"{name}.json") for d in data.get("decisions", ())),
         )
 
     def write_scale(self, estimate: ScaleEstimate) -> None:

@@ -25,17 +25,21 @@ def fit_thermal(
     *,
     progress: Progress | None = None,
 ) -> ThermalModel:
-    """Clone the RGB model, replace its colours by one-channel spherical harmonics, and fit those to the training thermal images.
+    """Fit thermal colours to the training thermal images, on the frozen geometry of the RGB model.
 
-    Means, shapes, opacities and poses stay as they are; only the harmonics and one background value move (the paper's
-    geometry-frozen protocol), by linear least squares or by the paper's Adam.
+    Means, shapes, opacities and poses stay as they are (the paper's geometry-frozen protocol). The RGB colours are replaced by
+    one-channel spherical harmonics, which are fitted together with one background value.
+
+    Args:
+        sfm_per_metre: the scale, at which the thermal poses are taken.
+        config: solver ("linear": least squares; "adam": the paper's) and its settings; None: the defaults.
 
     Raises:
-        RtgsError: no training frame, or a scale that is no positive number.
+        RtgsError: no training frame, or a scale that is not a positive number.
     """
     config = config or ThermalConfig()
     if not scene.train_frames:
         raise RtgsError("fit_thermal: the scene has no training frame (every registered frame is held out).")
     if not (np.isfinite(sfm_per_metre) and sfm_per_metre > 0):
-        raise RtgsError(f"fit_thermal: sfm_per_metre is {sfm_per_metre}; it is a positive number.")
+        raise RtgsError(f"fit_thermal: sfm_per_metre is {sfm_per_metre}; it must be a positive number.")
     return {"linear": fit_linear, "adam": fit_adam}[config.solver](scene, rgb_model, sfm_per_metre, config, progress)

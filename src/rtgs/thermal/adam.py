@@ -1,4 +1,4 @@
-"""The paper's thermal fit: Adam on ℓ1 with optional SSIM, one image a step. `solver = "adam"`."""
+"""The paper's thermal fit (`ThermalConfig.solver = "adam"`): Adam on ℓ1 with optional SSIM, one image a step."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rtgs.thermal.frames import color_range, training_range
 def fit_adam(
     scene: Scene, rgb_model: RgbModel, sfm_per_metre: float, config: ThermalConfig, progress: Progress | None
 ) -> ThermalModel:
-    """See `fit_thermal`."""
+    """As `fit_thermal`, by Adam. Only the harmonics and the background are optimised; drift and pattern are not modelled."""
     frames = scene.train_frames
     generator = torch.Generator().manual_seed(config.seed)
     frozen = rgb_model.gaussians.detach()

@@ -1,131 +1,218 @@
-"""A temperature for every Gaussian, how sure it is, and how many views say so."""
+"""A temperature for every Gaussian, its standard error, and the number of views that see it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
+from rtgs.base.threads import threads_at_most
 from rtgs.maths import sh
 from rtgs.models import GaussianTemperatures, ThermalModel
-from rtgs.records.capture import Frame
+from rtgs.records.camera import Camera
 from rtgs.records.radiometry import ThermalRange
 from rtgs.records.scene import Scene
-from rtgs.thermal.design import Design, threads_for
+from rtgs.thermal.coverage import ridge
+from rtgs.thermal.design import Design
 from rtgs.thermal.frames import ThermalFrames
 from rtgs.thermal.least_squares import Problem, preconditioner, solve
-from rtgs.thermal.linear import DEFAULT_FACTOR, ridge
-
-SEEN_PX = 0.5  # a view sees a Gaussian that contributes this much to its pixels, all together
-SAMPLES = 8
-PROBES = 7  # random signs a view
-ITERATIONS = 40  # fewer leave the spread of the prior in what is seen least: too large rather than too small
+from rtgs.thermal.passes import Passes
+from rtgs.thermal.settings import CertaintySettings, LinearSettings
 
 
-def gaussian_temperatures(scene: Scene, model: ThermalModel, *, progress: Progress | None = None) -> GaussianTemperatures:
-    """What the training views say of each Gaussian.
+def gaussian_temperatures(
+    scene: Scene, model: ThermalModel, *, settings: CertaintySettings | None = None, progress: Progress | None = None
+) -> GaussianTemperatures:
+    """Temperature, standard error and number of views of each Gaussian, from the training views.
 
-    The temperature is the mean over the training views of what they see of it, a view counting by what the Gaussian contributes to its
-    pixels: the harmonics' constant part alone would speak of directions that nobody looked from. With g the mean basis,
+    The temperature is the mean over the training views of what they see of the Gaussian. A view's weight is what the Gaussian
+    contributes to its pixels. (The harmonics' constant part alone would include directions that no camera looked from.) With g the
+    mean basis,
 
-        temperature = gᵀ sh,    temperature_std² = σ² · gᵀ [(Wᵀ W + σ²/τ²)⁻¹] g,    σ² = Σ residual² / (pixels − degrees of freedom)
+        temperature = gᵀ sh,    temperature_std² = σ² · gᵀ [(WᵀW + Λ)⁻¹] g,    σ² = Σ residual² / (pixels − degrees of freedom)
 
-    W is the design matrix and τ the spread before anything is seen: in band 0 the standard deviation of the scene's temperatures, which
-    is therefore what an unseen Gaussian has. Blocks of the inverse are estimated from samples of the posterior that are drawn by solving
-    for noise in place of photographs; of their spread, what a Gaussian has beside its neighbours held fixed is known exactly and only
+    W is the design matrix and Λ the inverse prior covariance, times σ². In band 0, Λ = σ²/τ² with τ the standard deviation of the
+    scene's temperatures: the standard error of a Gaussian that no view sees is τ. Blocks of the inverse are estimated from samples of
+    the posterior. Of a sample's variance, the part that a Gaussian has with its neighbours held fixed is computed exactly, and only
     the rest is sampled (Sidén et al., *Efficient covariance approximations for large sparse precision matrices*, 2018).
 
-    Noise counts as independent from pixel to pixel: errors of geometry are not, and where they prevail this is a lower bound.
+    Noise is assumed independent from pixel to pixel. Errors of the geometry are not; where they prevail, this is a lower bound.
+
+    Args:
+        settings: None: the defaults.
 
     Raises:
         RtgsError: no training frame.
     """
-    frames = scene.train_frames
+    frames, settings = scene.train_frames, settings or CertaintySettings()
     if not frames:
         raise RtgsError("gaussian_temperatures: the scene has no training frame.")
-    with threads_for(scene.rig.thermal.width * scene.rig.thermal.height):
-        return _of_frames(scene, frames, model, progress)
+    camera, linear = scene.rig.thermal, LinearSettings()
+    threads = linear.threads_for(camera.width * camera.height)
+    with threads_at_most(threads):
+        data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.colors)
+        design = Design(model.gaussians, camera, data.poses, model.gaussians.sh_degree, model.settings, threads=threads)
+        passes = Passes(len(data) * (settings.iterations + 2), progress, "standard errors")
+        generator = torch.Generator().manual_seed(0)
+
+        seen = _look(model, camera, design, data, settings, generator, passes)
+        inverse_prior = _inverse_prior(design, seen, linear)
+        has_offsets = bool(model.sensor.drift)
+        samples = _sample_posterior(design, data, seen, inverse_prior, has_offsets, settings, generator, passes)
+        mean_basis = seen.mean_basis()
+        variance = _variance(design, seen, inverse_prior, samples, mean_basis)
+        value = 0.5 + (mean_basis * model.gaussians.sh[..., 0]).sum(dim=1)
+        passes.finish()
+    sigma = math.sqrt(seen.squares / max(seen.pixels - samples.degrees_of_freedom, 0.1 * seen.pixels))
+    std = _std_in_degrees(model.colors, value.numpy(), sigma * variance.sqrt().numpy())
+    return GaussianTemperatures(model.colors.expand(value.numpy()), std, seen.views.numpy())
 
 
-def _of_frames(scene: Scene, frames: Sequence[Frame], model: ThermalModel, progress: Progress | None) -> GaussianTemperatures:
-    """See `gaussian_temperatures`."""
-    data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.colors)
-    gaussians = model.gaussians
-    design = Design(gaussians, scene.rig.thermal, data.poses, gaussians.sh_degree, model.settings)
-    n, k, pixels = len(gaussians), design.coefficients, len(data) * float(data.valid.sum())
-    total, done = len(data) * (ITERATIONS + 2), 0
+@dataclass(eq=False)
+class _Seen:
+    """Sums over the training views.
 
-    def each() -> None:
-        nonlocal done
-        done = min(done + 1, total - 1)
-        if progress is not None:
-            progress(done, total, "standard errors")
+    Attributes:
+        pixels: valid pixels of all views.
+        noise_ratio: σ²/τ², mean square of the residuals over the variance of the temperatures.
+        coverage: `[N + 1]`, pixels that each Gaussian and the background cover.
+        views: `[N]`, how many views see the Gaussian.
+        basis: `[N, K, 1]`, Σ basis · pixels covered.
+        bounds: `[N, K, K]`, Σ (Σ W) basis ⊗ basis, for the preconditioner.
+        blocks: `[N, K, K]`, Σ (Σ W²) basis ⊗ basis: the Gaussians' own blocks of WᵀW.
+        squares: Σ residual².
+    """
 
-    signs = torch.Generator().manual_seed(0)
-    coverage, views, squares = torch.zeros(n + 1), torch.zeros(n), 0.0
-    seen, bounds, blocks = torch.zeros(n, k, 1), torch.zeros(n, k, k), torch.zeros(n, k, k)
-    for f, frame in enumerate(frames):
-        flips = 2.0 * torch.randint(0, 2, (*data.valid.shape, PROBES), generator=signs) - 1.0
-        images = data.valid[..., None] * torch.cat([torch.ones_like(flips[..., :1]), flips], dim=-1)
+    pixels: float
+    noise_ratio: float
+    coverage: Tensor
+    views: Tensor
+    basis: Tensor
+    bounds: Tensor
+    blocks: Tensor
+    squares: float
+
+    def mean_basis(self) -> Tensor:
+        """`[N, K]`: the basis in the mean direction of sight; of the constant band alone where no view sees the Gaussian."""
+        covered = self.coverage[:-1]
+        mean = self.basis[..., 0] / covered[:, None].clamp_min(1e-6)
+        mean[covered < 1e-6] = torch.eye(mean.shape[1])[0] * sh.C0
+        return mean
+
+
+def _look(
+    model: ThermalModel,
+    camera: Camera,
+    design: Design,
+    data: ThermalFrames,
+    settings: CertaintySettings,
+    generator: torch.Generator,
+    each: Callable[[], None],
+) -> _Seen:
+    """One pass over the training views. Σ W² is estimated from images of random signs: E (Σ ± W)² = Σ W²."""
+    n, k = len(model.gaussians), design.coefficients
+    values = torch.cat([y[data.valid > 0] for y in data.images])
+    pixels, squares = len(data) * float(data.valid.sum()), 0.0
+    coverage, views, basis = torch.zeros(n + 1), torch.zeros(n), torch.zeros(n, k, 1)
+    bounds, blocks = torch.zeros(n, k, k), torch.zeros(n, k, k)
+    for f, name in enumerate(data.names):
+        signs = 2.0 * torch.randint(0, 2, (*data.valid.shape, settings.probes), generator=generator) - 1.0
+        images = data.valid[..., None] * torch.cat([torch.ones_like(signs[..., :1]), signs], dim=-1)
         colors, background = design.weights(f, images)
         coverage += torch.cat([colors[:, 0], background[:1]])
-        views += colors[:, 0] >= SEEN_PX
-        design.add_harmonics(f, colors[:, :1].contiguous(), seen)
+        views += colors[:, 0] >= settings.seen_px
+        design.add_harmonics(f, colors[:, :1].contiguous(), basis)
         design.add_blocks(f, colors[:, 0].contiguous(), bounds)
-        design.add_blocks(f, (colors[:, 1:] ** 2).mean(dim=1), blocks)  # E (Σ ± w)² = Σ w²
-        image = model.render(scene.rig.thermal, data.poses[f], photographed_in=frame.name)
+        design.add_blocks(f, (colors[:, 1:] ** 2).mean(dim=1), blocks)
+        image = model.render(camera, data.poses[f], photographed_in=name)
         shown = torch.from_numpy(model.colors.normalise(image))
         squares += float((data.valid * (data.images[f] - shown) ** 2).sum())
         each()
-    mean_basis = seen[..., 0] / coverage[:-1, None].clamp_min(1e-6)
-    mean_basis[coverage[:-1] < 1e-6] = torch.eye(k)[0] * sh.C0
-    values = torch.cat([y[data.valid > 0] for y in data.images])
-    spread = max(squares / pixels / max(float(values.var()), 1e-12), 1e-4)  # σ² / τ²
-    penalty = ridge(design, coverage, DEFAULT_FACTOR)
-    design.harmonics(penalty)[:, 0], penalty[-1] = sh.C0**2 * spread, spread
+    noise_ratio = max(squares / pixels / max(float(values.var()), 1e-12), 1e-4)
+    return _Seen(pixels, noise_ratio, coverage, views, basis, bounds, blocks, squares)
 
-    inverses, divisor = preconditioner(bounds, float(coverage[-1]), penalty, design)
-    prior = torch.randn(design.size, SAMPLES, generator=signs) / penalty.sqrt()[:, None]
-    noises = _Noises(data.valid.shape, len(data))
+
+def _inverse_prior(design: Design, seen: _Seen, settings: LinearSettings) -> Tensor:
+    """`[D]`, diagonal of Λ: the fit's default ridge, and σ²/τ² for band 0 and the background."""
+    out = ridge(design, seen.coverage, settings.default_factor, settings)
+    design.harmonics(out)[:, 0], out[-1] = sh.C0**2 * seen.noise_ratio, seen.noise_ratio
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Samples of the posterior at σ = 1, about a mean of 0.
+
+    Attributes:
+        x: `[D, S]`, the samples.
+        right: `[D, S]`, the right-hand sides that they solve: Wᵀ · noise + Λ · prior sample.
+        noise: `[D, S]`, Wᵀ · noise.
+    """
+
+    x: Tensor
+    right: Tensor
+    noise: Tensor
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """tr(WᵀW (WᵀW + Λ)⁻¹), estimated from the samples."""
+        return float((self.noise * self.x).sum()) / self.x.shape[1]
+
+
+def _sample_posterior(
+    design: Design,
+    data: ThermalFrames,
+    seen: _Seen,
+    inverse_prior: Tensor,
+    has_offsets: bool,
+    settings: CertaintySettings,
+    generator: torch.Generator,
+    each: Callable[[], None],
+) -> _Samples:
+    """Samples by solving for noise in place of photographs, about samples of the prior."""
+    samples = settings.samples
+    inverses, background = preconditioner(seen.bounds, float(seen.coverage[-1]), inverse_prior, design)
+    prior = torch.randn(design.size, samples, generator=generator) / inverse_prior.sqrt()[:, None]
+    noises = _Noises((*data.valid.shape, samples), len(data))
+    ridges = inverse_prior[:, None].expand(-1, samples)
+    offsets = torch.ones(samples) if has_offsets else None
     weights = [data.valid] * len(data)
-    ridges = penalty[:, None].expand(-1, SAMPLES)
-    offsets = torch.ones(SAMPLES) if model.drift else None
-    problem = Problem(design, range(len(data)), noises, weights, offsets, ridges, prior, inverses, divisor)
-    x = solve(problem, prior, iterations=ITERATIONS, each=each)
+    problem = Problem(design, range(len(data)), noises, weights, offsets, ridges, prior, inverses, background)
+    x = solve(problem, prior, iterations=settings.iterations, each=each).x
     right = problem.gradient(torch.zeros_like(x), each)
-    freedom = float(((right - ridges * prior) * x).sum()) / SAMPLES
-    sigma = math.sqrt(squares / max(pixels - freedom, 0.1 * pixels))
+    return _Samples(x, right, right - ridges * prior)
 
-    own = torch.linalg.inv(blocks + torch.diag_embed(design.harmonics(penalty)))
-    given_others = design.harmonics(x) - own @ design.harmonics(right)
+
+def _variance(design: Design, seen: _Seen, inverse_prior: Tensor, samples: _Samples, mean_basis: Tensor) -> Tensor:
+    """`[N]`: gᵀ [(WᵀW + Λ)⁻¹] g = gᵀ own g + E (gᵀ (sample − own · right))².
+
+    `own` is the variance of a Gaussian whose neighbours are held fixed: the inverse of its own block. What is left of a sample after
+    own · right is the part that comes from the neighbours.
+    """
+    own = torch.linalg.inv(seen.blocks + torch.diag_embed(design.harmonics(inverse_prior)))
+    given_others = design.harmonics(samples.x) - own @ design.harmonics(samples.right)
     variance = torch.einsum("ni,nij,nj->n", mean_basis, own, mean_basis)
-    variance += torch.einsum("nk,nkc->nc", mean_basis, given_others).square().mean(dim=1)
-    value = 0.5 + (mean_basis * gaussians.sh[..., 0]).sum(dim=1)
-    if progress is not None:
-        progress(total, total, "standard errors")
-    return GaussianTemperatures(
-        model.colors.expand(value.numpy()),
-        _spread(model.colors, value.numpy(), sigma * variance.sqrt().numpy()),
-        views.numpy(),
-    )
+    return variance + torch.einsum("nk,nkc->nc", mean_basis, given_others).square().mean(dim=1)
 
 
-def _spread(colors: ThermalRange, value: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """A small spread of a colour as one of its temperature, °C (or counts)."""
+def _std_in_degrees(colors: ThermalRange, value: NDArray[np.floating], std: NDArray[np.floating]) -> NDArray[np.float32]:
+    """A standard deviation of colours as one of temperatures, °C (or counts), by the slope at each colour."""
     above, below = (colors.expand(value.astype(np.float64) + by) for by in (5e-3, -5e-3))
     return (std * (above - below) / 1e-2).astype(np.float32)
 
 
 class _Noises(Sequence[Tensor]):
-    """`[h, w, SAMPLES]` of unit noise a frame, made anew whenever it is asked for."""
+    """Unit noise of `shape` for each frame. It is made anew at each access, the same each time, so that no memory holds it."""
 
-    def __init__(self, shape: Sequence[int], frames: int) -> None:
-        self._shape, self._frames = (*shape, SAMPLES), frames
+    def __init__(self, shape: tuple[int, ...], frames: int) -> None:
+        self._shape, self._frames = shape, frames
 
     def __len__(self) -> int:
         return self._frames

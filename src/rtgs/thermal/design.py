@@ -1,24 +1,23 @@
-"""The design matrix of the thermal fit: what the unknowns look like in each photograph, and the transpose.
+"""The design matrix of the thermal fit: images of the unknowns, and the transpose.
 
     image_f = W_f · (basis_f ∘ sh) + (1 − α_f) · background
 
-The unknowns are N · K harmonics and the background, one column `[D, C]` a problem. C problems (under different ridges) go side by side,
-since the weights W, which are most of the work, are theirs in common.
+W_f are the renderer's compositing weights (pixels × Gaussians), basis_f the harmonics' basis in the directions from the camera. The
+unknowns are N · K harmonics and the background, D in all. They come as C columns `[D, C]`, which share the weights W.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from typing import TypeVar
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rtgs.base.threads import in_order, threads_at_most
+from rtgs.base.threads import in_order
 from rtgs.maths import sh
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
@@ -28,23 +27,17 @@ from rtgs.thermal import harmonics
 
 T = TypeVar("T")
 
-VIEWS_BYTES = 2 << 30
-SMALL_PICTURE = 1 << 16  # pixels: with fewer, threads spend what they gain on waiting for each other
-
-
-def threads_for(pixels: int) -> AbstractContextManager[None]:
-    """For work on pictures of so many pixels: Numba's threads, or one."""
-    return threads_at_most(1 if pixels < SMALL_PICTURE else nb.get_num_threads())
-
 
 class Design:
     """The linear map from unknowns to photographs; geometry, opacity and poses are frozen.
 
     Args:
-        gaussians: colours are not looked at.
-        poses: camera_from_world, one a frame.
+        gaussians: colours are not used.
+        poses: camera_from_world of each frame.
         degree: highest band of the harmonics.
-        every: see `LinearRender`. kept_bytes: for weights or splats of views; the others are projected again at each use.
+        every: only one row in so many of each image (see `LinearRender`).
+        kept_bytes: memory for the weights or splats of views; what does not fit is projected again at each use.
+        threads: frames that are worked on at once.
     """
 
     def __init__(
@@ -56,33 +49,37 @@ class Design:
         settings: RenderSettings,
         *,
         every: int = 1,
-        kept_bytes: int = VIEWS_BYTES,
+        kept_bytes: int = 2 << 30,
+        threads: int = 1,
     ) -> None:
         self.gaussians, self.coefficients = len(gaussians), sh.coefficients(degree)
         self.size = self.gaussians * self.coefficients + 1
         self._means = np.ascontiguousarray(gaussians.means.detach().numpy(), dtype=np.float32)
         self._centres = [(-p.rotation.T @ p.translation).astype(np.float32) for p in poses]
         self._visible: dict[int, NDArray[np.int32]] = {}  # by frame; views may not be kept
+        self._threads = threads
         self._views = LinearViews(
             gaussians, camera, poses, settings=settings, budget_bytes=kept_bytes, keep_weights=True, every=every
         )
 
     def __len__(self) -> int:
-        """How many frames."""
+        """Number of frames."""
         return len(self._centres)
 
     def each(self, work: Callable[[int], T], frames: Sequence[int]) -> Generator[T]:
-        """`work` of each frame, in order; by Numba's number of threads (see `threads_for`) where the frames' weights are kept, so of what
-        it shares with others `work` writes what is the frame's alone. PyTorch would split large pictures among threads of its own: NumPy
-        and Numba do not."""
-        return in_order(work, frames, nb.get_num_threads(), lambda frame: not self._views.is_concurrent(frame))
+        """`work(frame)` for each frame, in order.
+
+        Several threads call `work` where the frames' weights are kept, so it must write nothing that frames share. It should use NumPy
+        and Numba: PyTorch would split large images among threads of its own.
+        """
+        return in_order(work, frames, self._threads, lambda frame: not self._views.is_concurrent(frame))
 
     def harmonics(self, x: Tensor) -> Tensor:
-        """The view `[N, K, …]` of unknowns `[D, …]`; the background is their last row."""
+        """`[N, K, …]`: the harmonics among the unknowns `[D, …]`, as a view. The last row of the unknowns is the background."""
         return x[:-1].view(self.gaussians, self.coefficients, *x.shape[1:])
 
     def image(self, frame: int, x: Tensor) -> Tensor:
-        """`[h, w, C]`."""
+        """`[h, w, C]`: design · x of unknowns `[D, C]` in a frame."""
         view, colors = self._views[frame], np.empty((self.gaussians, x.shape[1]), np.float32)
         harmonics.colors_of(self._means, self._centres[frame], view.visible, self.harmonics(x).numpy(), colors)
         return view.image(torch.from_numpy(colors), x[-1])
@@ -90,7 +87,12 @@ class Design:
     def add_transpose(
         self, image_of: Callable[[int], Tensor], frames: Sequence[int], out: Tensor, each: Callable[[], None] = lambda: None
     ) -> None:
-        """out `[D, C]` += Σ transpose · image `[h, w, C]`; `image_of` is called as `each` of this class says, `each` after each frame."""
+        """out `[D, C]` += Σ_f designᵀ · image `[h, w, C]`.
+
+        Args:
+            image_of: gives a frame's image; several threads may call it (see `Design.each`).
+            each: called after each frame.
+        """
         with closing(self.each(lambda f: self.weights(f, image_of(f)), frames)) as parts:
             for frame, (colors, background) in zip(frames, parts, strict=True):
                 self.add_harmonics(frame, colors, self.harmonics(out))
@@ -98,13 +100,13 @@ class Design:
                 each()
 
     def weights(self, frame: int, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Wᵀ·image `[N, C]` and the background's part `[C]`, without harmonics."""
+        """Wᵀ · image `[N, C]` and Σ (1 − α) · image `[C]`: the transpose before harmonics."""
         view = self._views[frame]
         self._visible[frame] = view.visible
         return view.adjoint(image)
 
     def add_harmonics(self, frame: int, colors: Tensor, out: Tensor) -> None:
-        """out `[N, K, C]` += basis ⊗ colors `[N, C]`, of the frame's `weights`."""
+        """out `[N, K, C]` += basis ⊗ colors `[N, C]`; the frame's `weights` must have been called before."""
         harmonics.add_transpose(self._means, self._centres[frame], self._visible[frame], colors.numpy(), out.numpy())
 
     def add_blocks(self, frame: int, weights: Tensor, out: Tensor) -> None:

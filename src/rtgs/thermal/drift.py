@@ -1,10 +1,10 @@
-"""What a frame adds of its own: an offset, and a gain about the scene's median, between two of the camera's calibrations or by its
-automatic gain control.
+"""Drift of the photographs: an offset for each frame, and a gain about the scene's median.
 
     photograph_f = s + offset_f + gain_f · (image_f − s)
 
-Offsets are eliminated from the least squares rather than alternated with the colours: neighbouring frames share nearly everything, and
-what drifts slowly along a path would take alternation very many turns. Gains multiply what is sought, and do alternate.
+Offsets come from the camera's zero, which moves between two of its calibrations; gains from automatic gain control. The solvers eliminate
+offsets exactly: neighbouring frames share nearly everything, and slow drift along a path would take very many turns of alternation.
+Gains multiply the unknowns, so they alternate with the colours.
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ from torch import Tensor
 
 from rtgs.records.radiometry import ThermalRange
 
-Kind = Literal["off", "offset", "gain-offset"]
-GAINS = (0.5, 2.0)  # no automatic gain control that is of use goes further; a frame without contrast could go anywhere
+DriftKind = Literal["off", "offset", "gain-offset"]
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """`gain` and `offset` `[F]`, in units of the range, about `level`, the scene's median."""
+    """Drift of F frames, in units of the range.
+
+    Attributes:
+        level: the scene's median, s.
+        gain, offset: `[F]`.
+    """
 
     level: float
     gain: Tensor
@@ -35,19 +39,31 @@ class Drift:
         return self.level + self.offset[frame] + self.gain[frame] * (image - self.level)
 
     def only(self, frames: Sequence[int]) -> Drift:
+        """The drift of some of the frames."""
         return Drift(self.level, self.gain[frames], self.offset[frames])
 
     def by_frame(self, names: Sequence[str], span: ThermalRange) -> dict[str, tuple[float, float]]:
-        """`ThermalModel.drift`: photograph = gain · image + offset."""
+        """As `SensorModel.drift`: photograph = gain · image + offset, in the units of `span.linear`."""
         level, width = span.linear.lo + self.level * span.linear.width, span.linear.width
         gains, offsets = self.gain.tolist(), self.offset.tolist()
         return {n: (g, level * (1.0 - g) + width * o) for n, g, o in zip(names, gains, offsets, strict=True)}
 
 
-def estimate(
-    kind: Kind, level: float, images: Sequence[Tensor], photographs: Sequence[Tensor], weights: Sequence[Tensor]
+def estimate_drift(
+    kind: DriftKind,
+    level: float,
+    images: Sequence[Tensor],
+    photographs: Sequence[Tensor],
+    weights: Sequence[Tensor],
+    *,
+    gain_limits: tuple[float, float],
 ) -> Drift:
-    """Weighted least squares, frame by frame; before the gauge is fixed. All `[h, w]`."""
+    """Drift at given images of the scene, by weighted least squares for each frame. The gauge is not fixed (`in_gauge`).
+
+    Args:
+        level: the scene's median.
+        images, photographs, weights: `[h, w]` for each of F frames.
+    """
     gain, offset = torch.ones(len(images)), torch.zeros(len(images))
     for f, (image, photograph, w) in enumerate(zip(images, photographs, weights, strict=True)):
         total = float(w.sum())
@@ -58,14 +74,16 @@ def estimate(
             away = w * (image - mean)
             gain[f] = float((away * (photograph - target)).sum()) / max(float((away * (image - mean)).sum()), 1e-12)
         offset[f] = target - level - gain[f] * (mean - level)
-    return Drift(level, gain.clamp(*GAINS), offset)
+    return Drift(level, gain.clamp(*gain_limits), offset)
 
 
 def in_gauge(drift: Drift) -> tuple[Drift, float, float]:
-    """The same with median log-gain 0 and median offset 0, and what the images have to become: `s + offset + gain · (image − s)`.
+    """The same drift with median log-gain 0 and median offset 0.
+
+    Photographs do not change if the images become `s + offset + gain · (image − s)`.
 
     Returns:
-        The drift, and that gain and offset.
+        The drift in that gauge, and `gain` and `offset` of the images.
     """
     gain = float(drift.gain.log().median().exp())
     scaled = drift.gain / gain

@@ -1,4 +1,4 @@
-"""The photographs a thermal fit is given: normalised, masked, each with its pose."""
+"""The photographs of a thermal fit: normalised, masked, each with its pose."""
 
 from __future__ import annotations
 
@@ -33,32 +33,38 @@ def color_range(scene: Scene) -> ThermalRange:
 
 @dataclass(frozen=True, eq=False)
 class ThermalFrames:
-    """What the linear fit looks at.
+    """Photographs that are fitted, and their poses.
 
     Attributes:
-        names: of the frames.
-        images: `[h, w]` each, in units of the colours; 0 where not valid.
-        valid: `[h, w]`, how many pixels one stands for, 0 where it does not count; the same for all frames.
-        poses: camera_from_world of the thermal camera.
+        names: of the F frames.
+        images: F of `[h, w]`, in units of the colours; 0 where not valid.
+        valid: `[h, w]`, the weight of each pixel, the same in all frames: 0 where it is masked, else how many pixels it stands for.
+        poses: camera_from_world of the thermal camera, F of them.
+        unit, unit_size: "°C" or "counts", and how many of them a difference of 1 in the middle of the range is.
     """
 
     names: tuple[str, ...]
     images: tuple[Tensor, ...]
     valid: Tensor
     poses: tuple[SE3, ...]
+    unit: str = "°C"
+    unit_size: float = 1.0
 
     @staticmethod
     def of(scene: Scene, frames: Sequence[Frame], sfm_per_metre: float, span: ThermalRange) -> ThermalFrames:
+        """The thermal images of `frames`, in units of `span`, with thermal poses at a scale."""
         mask = scene.capture.thermal_mask
         return ThermalFrames(
             tuple(f.name for f in frames),
             tuple(torch.from_numpy(span.normalise(np.where(mask, f.thermal, span.lo))) for f in frames),
             torch.from_numpy(mask.astype(np.float32)),
             tuple(scene.thermal_from_world(f.name, sfm_per_metre) for f in frames),
+            scene.capture.radiometry.unit,
+            float(np.diff(span.expand(np.array([0.495, 0.505])))[0]) / 1e-2,
         )
 
     def rows(self, every: int) -> ThermalFrames:
-        """Only rows `every // 2 :: every` of the images, each counting as so many; as `Camera.rows`."""
+        """Only rows `every // 2 :: every` of the images, as in `Camera.rows`. Each stands for `every` rows."""
         some = slice(every // 2, None, every)
         return replace(self, images=tuple(i[some].contiguous() for i in self.images), valid=every * self.valid[some])
 

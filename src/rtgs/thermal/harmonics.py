@@ -1,7 +1,7 @@
 """Colours seen from a camera as a linear map of spherical harmonics, its transpose, and the blocks of its square.
 
-`render`'s own harmonics add ½ and clamp; the linear fit does neither. C is the number of problems that are solved side by side. Each
-function is one thread's work and lets go of Python's lock: frames go side by side.
+`render`'s own harmonics add ½ and clamp; the linear fit does neither. C is the number of columns (right-hand sides). Each function runs
+on one thread and releases Python's lock, so that several frames can be worked on at once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _jit = nb.njit(nogil=True, fastmath=True, cache=True)
 
 @nb.njit(fastmath=True, inline="always")
 def _fill_basis(means: Floats, n: int, centre: Floats, b: Floats) -> None:
-    """`rtgs.sh.basis` in the direction from the camera to Gaussian n, into `b` `[K]`."""
+    """`rtgs.maths.sh.basis` in the direction from the camera to Gaussian n, into `b` `[K]`."""
     b[0] = C0
     if len(b) == 1:
         return
@@ -68,12 +68,12 @@ def _add_transpose(
 
 
 def colors_of(means: Floats, centre: Floats, visible: Ints, sh: Floats, out: Floats) -> None:
-    """out `[N, C]` = basis · sh of those in visible `[V]`, the rest is left alone; means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
+    """out `[N, C]` = basis · sh of the Gaussians in visible `[V]`; other rows stay. means `[N, 3]`, centre `[3]`, sh `[N, K, C]`."""
     _colors_of(means, centre, visible, sh, *_sizes(sh), out)
 
 
 def add_transpose(means: Floats, centre: Floats, visible: Ints, colors: Floats, out: Floats) -> None:
-    """out `[N, K, C]` += basis ⊗ colors `[N, C]` of those in visible `[V]`."""
+    """out `[N, K, C]` += basis ⊗ colors `[N, C]` of the Gaussians in visible `[V]`."""
     _add_transpose(means, centre, visible, colors, *_sizes(out), out)
 
 

@@ -1,4 +1,4 @@
-"""Huber's loss in place of squares, by nonlinear conjugate gradients: for pixels that the geometry gets wrong."""
+"""Huber's loss in place of squares, by nonlinear conjugate gradients. It bounds the influence of pixels that the geometry gets wrong."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from torch import Tensor
 
 from rtgs.maths.planes import Planes, add_each
 from rtgs.thermal.design import Design
-from rtgs.thermal.least_squares import Problem, dot, picture_of, planes_of, ratio
+from rtgs.thermal.least_squares import Problem, Solution, dot, picture_of, planes_of, ratio
 
-SMALLEST_BOUND = 1e-4  # of the range: a start that fits exactly says nothing of how large errors are
+SMALLEST_BOUND = 1e-4  # of the range, for a start that fits exactly: its residuals do not show how large errors are
 
 
 @dataclass(frozen=True, eq=False)
-class RobustSolution:
-    """`x` `[D, C]`, and what it leaves of the photographs."""
+class RobustSolution(Solution):
+    """A `Solution` with its images and Huber weights. `residual` is from before the last step, where the last gradient was computed."""
 
-    x: Tensor
     _misfits: Mapping[int, _Misfit]
 
     def shown(self, frame: int) -> Tensor:
-        """`[h, w, C]`: design · x of one of the problem's frames."""
+        """`[h, w, C]`: design · x in one of the problem's frames."""
         return self._misfits[frame].shown()
 
     def weights(self, frame: int) -> Tensor:
-        """`[h, w, C]`: the problem's, times Huber's."""
+        """`[h, w, C]`: the problem's weights times Huber's."""
         return self._misfits[frame].weights()
 
 
@@ -46,19 +45,23 @@ def solve_robustly(
     settled: Callable[[Tensor], bool] = lambda x: False,
     each: Callable[[], None] = lambda: None,
 ) -> RobustSolution:
-    """From `start` `[D, 1 or C]`; as `solve`, but that a residual counts by its square up to `huber` times the root mean square of all at
-    the start, and beyond by its size.
+    """Minimise Huber's loss from `start` `[D, 1 or C]`.
 
-    Each step is as long as suits the quadratic that touches the loss where the step begins and is nowhere below it (that of reweighted
-    least squares): no step raises the loss. Directions are Polak and Ribière's.
+    A residual counts by its square up to a bound, and beyond by its size. The bound is `huber` times the root mean square of all
+    residuals at the start. Each step minimises, along its direction, the quadratic of iteratively reweighted least squares. That
+    quadratic touches the loss where the step begins and is nowhere below it, so no step raises the loss. Directions are Polak and
+    Ribière's.
 
     Args:
         problem: without a surface. Its weights are multiplied by Huber's.
-        shown: `[h, w, 1 or C]`, design · start of each of the problem's frames.
+        shown: `[h, w, 1 or C]`, design · start in each of the problem's frames.
         iterations, settled, each: as of `solve`.
+
+    Raises:
+        ValueError: the problem has a surface.
     """
     if problem.surface is not None:
-        raise ValueError("solve_robustly: a common surface is for `solve`.")
+        raise ValueError("solve_robustly: the problem has a common surface; only `solve` can eliminate one.")
     design, columns = problem.design, problem.ridge.shape[1]
     misfits = {f: _Misfit(problem, f, image, columns) for f, image in zip(problem.frames, shown, strict=True)}
     total, _, squares = sum((m.moments(m.left - m.level[:, None]) for m in misfits.values()), np.zeros((columns, 3))).T
@@ -66,12 +69,14 @@ def solve_robustly(
         misfit.bound = (huber * np.sqrt(squares / total.clip(1e-12))).clip(SMALLEST_BOUND).astype(np.float32)
     x = start.expand(-1, columns).clone()
     r, p, rz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros(columns, dtype=torch.float64)
-    for _ in range(iterations):
+    first, done, ended = rz, 0, False
+    while done < iterations and not ended:
         before, r = r, problem.ridge * (problem.prior - x)
         design.add_transpose(lambda f: misfits[f].weighted(), problem.frames, r, each)
         z = problem.precondition(r)
         p = z + ratio(dot(r - before, z).clamp_min(0.0), rz).float() * p
         rz, curvature = dot(r, z), dot(p, problem.ridge * p)
+        first = first if done else rz
         with closing(design.each(partial(_curvature, misfits, design, p), problem.frames)) as parts:
             for of_frame in parts:
                 curvature += of_frame
@@ -79,9 +84,9 @@ def solve_robustly(
         x += step * p
         for misfit in misfits.values():
             misfit.go(step.numpy())
-        if settled(x) or bool((rz == 0).all()):
-            break
-    return RobustSolution(x, misfits)
+        done += 1
+        ended = settled(x) or bool((rz == 0).all())
+    return RobustSolution(x, done, ended, ratio(rz, first).sqrt().float(), misfits)
 
 
 def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame: int) -> Tensor:
@@ -89,12 +94,12 @@ def _curvature(misfits: Mapping[int, _Misfit], design: Design, p: Tensor, frame:
 
 
 class _Misfit:
-    """What C problems side by side leave of a photograph, and how it counts.
+    """Residuals of one photograph in C columns, and their Huber weights.
 
     Attributes:
-        left: `[C, h · w]`, photograph less design · x.
-        bound: `[C]`, beyond which less counts.
-        level: `[C]`, the offset by which the weights are told; 0 where a problem has none.
+        left: `[C, h · w]`, photograph − design · x.
+        bound: `[C]`, bound of Huber's loss.
+        level: `[C]`, the frame's offset when the weights were computed; 0 in columns without offsets.
     """
 
     def __init__(self, problem: Problem, frame: int, shown: Tensor, columns: int) -> None:
@@ -113,7 +118,7 @@ class _Misfit:
         return np.asarray(_moments(self.left, self._given, self.level, self.bound, values))
 
     def weighted(self) -> Tensor:
-        """`[h, w, C]`: new weights times what is left, the offset that suits them best taken out."""
+        """`[h, w, C]`: new weights · (residual − its weighted mean, in columns with offsets). Carries out the step that is pending."""
         out = np.empty_like(self.left)
         step, self._step = self._step, np.zeros_like(self._step)
         self.level = self._centre
@@ -121,7 +126,7 @@ class _Misfit:
         return picture_of(out, self._shape)
 
     def curvature(self, move: Planes) -> Tensor:
-        """`[C]`: Σ weights · move², less what the offset takes of it; remembers the move, `[C, h · w]`."""
+        """`[C]`: Σ weights · move², offsets eliminated. Remembers the move `[C, h · w]` for `go`."""
         self._move = move
         total, first, second = self.moments(move).T
         shift = self._offsets * first / total.clip(1e-12)
@@ -129,7 +134,7 @@ class _Misfit:
         return torch.from_numpy(second - shift * first)
 
     def go(self, step: Planes) -> None:
-        """The remembered move, so far, when next asked what is left; the offset that suits goes with it."""
+        """Make the remembered move by `step` `[C]`, together with its offset; carried out when residuals are next needed."""
         self._step, self._centre = step, self._centre - step * self._shift
 
     def shown(self) -> Tensor:
@@ -159,7 +164,7 @@ def _moments(left: Planes, given: Planes, level: Planes, bound: Planes, values: 
 
 @nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
 def _mean(left: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes) -> Planes:
-    """`[C]`: the weighted mean of what is left, where a problem has offsets."""
+    """`[C]`: the weighted mean of the residuals; 0 in columns without offsets."""
     out = np.zeros(len(left), np.float32)
     if offsets.any():
         for c, (total, first, _) in enumerate(_moments(left, given, level, bound, left)):
@@ -171,7 +176,7 @@ def _mean(left: Planes, given: Planes, level: Planes, bound: Planes, offsets: Pl
 def _weigh(
     left: Planes, step: Planes, move: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes, out: Planes
 ) -> Planes:
-    """left -= step · move, and out = weights · (left less its mean). Returns the mean."""
+    """left −= step · move, then out = weights · (left − its mean). Returns the mean `[C]`."""
     add_each(left, -step, move)
     centre = _mean(left, given, level, bound, offsets)
     for c in range(len(left)):

@@ -1,0 +1,110 @@
+"""The numbers of the linear thermal fit and of the standard errors, each with its unit, its reason and how it was chosen.
+
+"Chosen on validation frames" means: by the error on every 8th training frame, left out of the fit, of the seven synthetic scenes and
+the ARCO capture. No number was chosen on held-out frames. `benchmarks/thermal_rules.py` measures what each rule is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba as nb
+
+
+@dataclass(frozen=True)
+class LinearSettings:
+    """Numbers of the linear thermal fit (`ThermalConfig.solver = "linear"`)."""
+
+    # The ridge.
+    ridge_px: float = 0.03
+    """Strength of the ridge on every band, in pixels: how many pixels of a photograph weigh as much as the prior. So small that it
+    decides only for Gaussians that hardly any pixel sees. Chosen on validation frames."""
+    ridge_share: float = 0.01
+    """Additional ridge on the direction-dependent bands, as a share of the pixels that a Gaussian covers. Errors of the geometry do not
+    average out over pixels, and view dependence would explain them. Chosen on validation frames."""
+    ridge_factors: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
+    """Factors on both ridges that are tried on validation frames. They span the best factors of all captures tried."""
+    default_factor: float = 0.3
+    """The factor until one is chosen, and where there are too few frames to choose. It is the one most often chosen."""
+
+    # Validation frames.
+    validate_every: int = 8
+    """One training frame in so many is a validation frame: the convention for held-out frames, applied once more."""
+    fewest_frames: int = 3
+    """Validation frames that are needed to decide about drift and the sensor's pattern: with fewer there is no standard error."""
+
+    # Iterations.
+    iterations: int = 60
+    """Most iterations of a solver while validation frames can stop it. Early stopping needed 40 at most on all captures tried."""
+    unvalidated_iterations: int = 20
+    """Iterations where there is no validation frame. About what early stopping takes elsewhere."""
+    last_iterations: int = 12
+    """Iterations on all training frames, from the solution without validation frames. Chosen on validation frames."""
+    gain_iterations: int = 4
+    """Iterations between two estimates of the frames' gains. Gains settle faster than colours; more changes nothing that is measurable."""
+    stop_after: int = 2
+    """Early stopping looks back so many iterations. One alone may do nothing by chance."""
+    stop_share_first: float = 0.02
+    """The first solve stops when the validation error falls by less than this share over `stop_after` iterations. It only has to be
+    good enough to compare models. Chosen on validation frames."""
+    stop_share_ridge: float = 0.01
+    """The same while the ridge is chosen. Its solution is kept, so it goes on for longer. Chosen on validation frames."""
+
+    # The robust loss.
+    huber: float = 0.25
+    """Bound of Huber's loss, in root mean squares of the residuals at the start: residuals count by their square below and by their size
+    beyond. Errors of the geometry are large in few pixels. Chosen on validation frames."""
+
+    # Drift of the photographs.
+    offset_share: float = 0.05
+    """Drift is considered if gains and offsets of the validation frames' own would explain this share of their error. Without drift
+    they explain 1 to 3 %."""
+    gain_share: float = 0.02
+    """Gains are considered if they would explain this share of what is left. Without gains they explain less than 1 %."""
+    drift_gain: float = 0.005
+    """Share by which offsets (or gains) must lower the error within validation frames. Below it, fits that differ by chance differ."""
+    level_loss: float = 1.25
+    """Factor by which the error of levels, drift predicted from neighbours, may rise with offsets. Where offsets follow the camera's
+    path, view-dependent colours predict levels better; a quarter more was chosen as the price of better temperatures of the scene."""
+    gain_limits: tuple[float, float] = (0.5, 2.0)
+    """Limits of a frame's gain. No useful automatic gain control goes beyond; a frame without contrast could have any gain."""
+
+    # The sensor's pattern.
+    pattern_gain: float = 0.1
+    """Share by which the pattern must lower the error within validation frames. Real vignetting explains a third of the error or more;
+    errors of the geometry that stay in the same place of all photographs look like a pattern that explains a twentieth."""
+
+    # Work.
+    pixels: int = 2_800_000
+    """Pixels that are fitted, of all photographs together. With more, one row in two, three or four is used: the rows between see
+    nothing that other photographs do not see."""
+    most_rows: int = 4
+    """At most one row in so many is used: sparser rows would miss Gaussians."""
+    usual_passes: int = 40
+    """Passes over all frames that most fits need; only for the progress display."""
+    kept_bytes: int = 2 << 30
+    """Memory for the renderer's weights, in bytes. Weights of views that do not fit are computed again at each use."""
+    small_image_px: int = 1 << 16
+    """Images with fewer pixels are worked on by one thread: several would spend what they gain on waiting for each other."""
+    threads: int | None = None
+    """Frames that are worked on at once; None: Numba's number of threads, or one for small images."""
+
+    def threads_for(self, pixels: int) -> int:
+        """How many threads work on images of so many pixels."""
+        if self.threads is not None:
+            return self.threads
+        return 1 if pixels < self.small_image_px else nb.get_num_threads()
+
+
+@dataclass(frozen=True)
+class CertaintySettings:
+    """Numbers of the Gaussians' temperatures and standard errors (`gaussian_temperatures`)."""
+
+    seen_px: float = 0.5
+    """A view sees a Gaussian that contributes this much to its pixels, all together: half a pixel can be told from noise."""
+    samples: int = 8
+    """Samples of the posterior. The standard error of a standard error is then a quarter, of the part that is sampled."""
+    probes: int = 7
+    """Images of random signs for each view. With the image of ones they make eight, one vector register."""
+    iterations: int = 40
+    """Iterations of the solver. Fewer leave the spread of the prior in what is seen least: too large rather than too small."""
