@@ -117,7 +117,7 @@ def _draw(folder: Path) -> None:
 class Page(HTMLParser):
     """Text, headings, links and balance of a page."""
 
-    VOID = frozenset({"meta", "img", "br", "link", "input"})
+    VOID = frozenset({"meta", "img", "br", "wbr", "link", "input"})
 
     def __init__(self, source: str) -> None:
         super().__init__()

@@ -15,6 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from rtgs.scale import ScaleEstimate
 
 _INK = "#010203"  # a colour nobody draws with: it becomes currentColor, so that curves follow the page's light or dark scheme
+_TEXT_PT, _SMALL_PT = 11, 10  # a chart is drawn at two thirds of its size on a telephone
 _CURVE, _CHOSEN = "#2f7ed8", "#e4572e"
 
 
@@ -32,7 +33,7 @@ def scan_chart(scale: ScaleEstimate) -> str:
         s = minimum.sfm_per_metre
         axes.axvline(s, color=_CHOSEN, linewidth=1.2, linestyle=":", label=f"other minimum: {s:.4g}")
     _log_axis(axes, "x", float(x.min()), float(x.max()))
-    axes.legend(frameon=False, fontsize=8.5, labelcolor=_INK)
+    _legend(axes)
     return _svg(figure, "Loss over the scale: the scan")
 
 
@@ -52,7 +53,7 @@ def local_chart(scale: ScaleEstimate) -> str:
     rise = float(np.max(loss - loss[lowest]))
     if rise > 0:
         axes.set_ylim(-rise, 2 * rise)  # the mean decides; steeper frames may leave the picture
-    axes.legend(frameon=False, fontsize=8.5, labelcolor=_INK)
+    _legend(axes)
     return _svg(figure, "Loss close to the answer: what the interval is taken from")
 
 
@@ -69,7 +70,7 @@ def history_chart(scale: ScaleEstimate, solver: str) -> str:
     right.plot(step, loss, color=_CURVE, linewidth=1.2)
     _plain(right)
     right.spines["right"].set_visible(True)
-    right.set_ylabel("loss", color=_CURVE)
+    right.set_ylabel("loss", color=_CURVE, fontsize=_TEXT_PT)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     return _svg(figure, f"Refinement by {solver}")
 
@@ -79,18 +80,31 @@ def _mark_interval(axes: Axes, scale: ScaleEstimate) -> None:
         axes.axvspan(*scale.ci95, color=_CHOSEN, alpha=0.18, linewidth=0, label="95 % interval")
 
 
+def _legend(axes: Axes) -> None:
+    """Above the curves, which it would hide from within."""
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=2,
+        borderaxespad=0.2,
+        frameon=False,
+        fontsize=_SMALL_PT,
+        labelcolor=_INK,
+    )
+
+
 def _axes(x: str, y: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(5.4, 3.5), layout="constrained")
+    figure = Figure(figsize=(5.4, 3.8), layout="constrained")
     axes = figure.subplots()
     _plain(axes)
-    axes.set_xlabel(x, color=_INK)
-    axes.set_ylabel(y, color=_INK)
+    axes.set_xlabel(x, color=_INK, fontsize=_TEXT_PT)
+    axes.set_ylabel(y, color=_INK, fontsize=_TEXT_PT)
     axes.grid(True, color=_INK, alpha=0.12, linewidth=0.6)
     return figure, axes
 
 
 def _plain(axes: Axes) -> None:
-    axes.tick_params(colors=_INK, which="both")
+    axes.tick_params(colors=_INK, which="both", labelsize=_SMALL_PT)
     for side, spine in axes.spines.items():
         spine.set_color(_INK)
         spine.set_visible(side in ("left", "bottom"))

@@ -27,7 +27,7 @@ def decisions_section(run: Contents) -> str:
 
 
 def _row(decision: Decision) -> str:
-    needed = "–" if decision.threshold is None else f"{100 * decision.threshold:.3g} %"
+    needed = "–" if decision.threshold is None else f"{100 * decision.threshold:.3g}\u00a0%"
     cells = [html.escape(c) for c in (decision.choice, decision.reason, _errors(decision), needed)]
     # The heading of each cell stands in front of it where the screen is too narrow for columns.
     body = "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(_COLUMNS[1:], cells, strict=True))
@@ -36,9 +36,9 @@ def _row(decision: Decision) -> str:
 
 def _errors(decision: Decision) -> str:
     """ "0.412 → 0.395 °C (−4.1 %)"; one number where only one was measured."""
-    before, after, unit = decision.error_before, decision.error_after, f" {decision.unit}" if decision.unit else ""
+    before, after, unit = decision.error_before, decision.error_after, f"\u00a0{decision.unit}" if decision.unit else ""
     if before is None or after is None:
         only = after if before is None else before
         return "not measured" if only is None else f"{only:.3g}{unit}"
-    change = minus(f" ({100 * (after / before - 1):+.1f} %)") if before > 0 else ""
+    change = minus(f" ({100 * (after / before - 1):+.1f}\u00a0%)") if before > 0 else ""
     return f"{before:.3g} → {after:.3g}{unit}{change}"

@@ -11,13 +11,13 @@ from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import missing, section, wide
 from rtgs.run.report.values import METRICS, duration, metric, signed_metric
 
-_MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s = 1)"}
+_MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s\u00a0=\u00a01)"}
 _STAGES = {
     "sfm": "Structure from motion",
     "rgb": "RGB model",
     "scale": "Scale",
     "thermal": "Thermal model",
-    "thermal_naive": "Thermal control (s = 1)",
+    "thermal_naive": "Thermal control (s\u00a0=\u00a01)",
     "evaluate": "Evaluation",
 }
 

@@ -122,7 +122,9 @@ figcaption { font-size: 0.82rem; color: var(--soft); margin-top: 4px; }
 code { font-size: 0.88em; background: var(--page); border: 1px solid var(--line); border-radius: 5px; padding: 1px 5px;
   overflow-wrap: anywhere; }
 .missing { color: var(--soft); margin: 0; }
-@media (max-width: 640px) { .pair { grid-template-columns: 1fr; } .triple { gap: 5px; } .triple figcaption { font-size: 0.7rem; }
+@media (max-width: 640px) { .pair { grid-template-columns: 1fr; } .triple { gap: 5px; } .triple figcaption, .control { font-size: 0.7rem; }
+  table.numbers { font-size: 0.82rem; } table.numbers :is(th, td) { padding-left: 8px; padding-right: 4px; }
+  table.numbers :is(tr > :first-child) { padding-left: 0; } table.numbers thead th { white-space: normal; }
   table.numbers td.bars { display: none; } dl { gap: 8px 12px; }
   table.decisions thead { display: none; } table.decisions tr, table.decisions th, table.decisions td { display: block; }
   table.decisions tr { border-bottom: 1px solid var(--line); padding: 8px 0; }

@@ -30,8 +30,10 @@ def missing(run: Contents, what: str) -> str:
 
 
 def facts(values: Mapping[str, Any]) -> str:
-    """A list of names and values, without those that are None."""
-    rows = "".join(f"<div><dt>{k}</dt><dd>{html.escape(str(v))}</dd></div>" for k, v in values.items() if v is not None)
+    """A list of names and values, without those that are None. A path may break a line after a slash."""
+    texts = {k: html.escape(str(v)) for k, v in values.items() if v is not None}
+    texts |= {k: texts[k].replace("/", "/<wbr>") for k, v in values.items() if isinstance(v, Path)}
+    rows = "".join(f"<div><dt>{k}</dt><dd>{text}</dd></div>" for k, text in texts.items())
     return f"<dl>{rows}</dl>" if rows else ""
 
 

@@ -73,11 +73,11 @@ def _control(run: Contents, name: str) -> str:
 
 
 def _scores(run: Contents, model: str, name: str) -> str:
-    """For a caption: " · 31.20 dB · 0.61 °C"."""
+    """For a caption: " · 31.20 dB · 0.61 °C", with spaces that do not break a line within a number."""
     models = {} if run.evaluation is None else run.evaluation.models
     if model not in models or name not in models[model].per_frame:
         return ""
-    known, units = models[model].per_frame[name].known(), {"psnr": " dB", "mae_c": " °C"}
+    known, units = models[model].per_frame[name].known(), {"psnr": "\u00a0dB", "mae_c": "\u00a0°C"}
     return "".join(f" · {metric(m, known[m])}{unit}" for m, unit in units.items() if m in known)
 
 
