@@ -31,7 +31,7 @@ from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scale.calibration import freedoms
 from rtgs.scale.records import Counter
 from rtgs.scale.refine import refine
-from rtgs.synthetic.capture import true_rig
+from rtgs.synthetic.rig import true_rig
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,10 @@ from tests.helpers.tiny_experiment import CONFIG
 from rtgs.experiments.scenery import Trial
 from rtgs.experiments.synthetic import scene_config
 from rtgs.experiments.variants import PERTURBATIONS, REFERENCE_ROW, groups
-from rtgs.synthetic.capture import camera_path, compiled_scene, noise_rng, true_rig, written_rig
+from rtgs.synthetic import compiled_scene
+from rtgs.synthetic.camera_path import camera_path
+from rtgs.synthetic.rig import true_rig, written_rig
+from rtgs.synthetic.sensor import noise_rng
 
 
 def test_a_wrong_length_moves_the_curve_and_nothing_else(trial: Trial) -> None:

@@ -19,6 +19,7 @@ from rtgs.io.rig import write_rig
 from rtgs.io.transforms import write_transforms
 from rtgs.maths.geometry import SE3, look_at
 from rtgs.records.camera import Camera
+from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.sfm.poses import run_sfm
 
@@ -74,7 +75,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, pose in POSES.items():
         Image.fromarray(render(pose)).save(root / "rgb" / f"{name}.png")
         Image.fromarray(np.full((32, 40), 3000, np.uint16)).save(root / "thermal" / f"{name}.png")
-    write_rig(root / "rig.json", Rig(RGB, THERMAL, SE3(np.eye(3), np.array([0.05, 0.0, 0.0]))), None)
+    write_rig(root / "rig.json", Rig(RGB, THERMAL, SE3(np.eye(3), np.array([0.05, 0.0, 0.0]))), RelativeCounts())
     return root
 
 

@@ -19,18 +19,11 @@ from rtgs.rgb.train import fit_rgb
 from rtgs.run.pipeline import RunFolder
 from rtgs.sfm.poses import run_sfm
 from rtgs.synthetic import compiled_scene, render_thermal, write_capture
-from rtgs.synthetic.capture import (
-    CELSIUS_OFFSET,
-    CELSIUS_PER_COUNT,
-    camera_path,
-    contrast_gains,
-    frame_names,
-    noise_rng,
-    record_thermal,
-    sfm_per_metre_of,
-    true_rig,
-    written_rig,
-)
+from rtgs.synthetic.camera_path import camera_path
+from rtgs.synthetic.capture import frame_names
+from rtgs.synthetic.draws import sfm_per_metre_of
+from rtgs.synthetic.rig import true_rig, written_rig
+from rtgs.synthetic.sensor import RADIOMETRY, contrast_gains, noise_rng, record_thermal
 
 _START = (0.5, 2.0)  # s0 over the truth
 
@@ -103,10 +96,10 @@ class Trial:
         frames = []
         for i, (gain, name) in enumerate(zip(contrast_gains(config), frame_names(config), strict=True)):
             counts = record_thermal(clean[i], config, float(gain), noise_rng(config, i))
-            image = (counts * CELSIUS_PER_COUNT + CELSIUS_OFFSET).astype(np.float32)
+            image = RADIOMETRY.celsius(counts)
             if variant.inverted:
                 image = -image
-            frames.append(replace(capture.frames[i], thermal=image))
+            frames.append(capture.frames[i].with_thermal(image))
             assert capture.frames[i].name == name
         mask = np.ones((rig.thermal.height, rig.thermal.width), bool)
         rig = replace(rig, rgb=capture.rig.rgb)

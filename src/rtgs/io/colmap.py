@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
 from rtgs.io.image_files import frame_name, in_thermal_folder
 from rtgs.maths.geometry import SE3, quat_from_rotation, rotation_from_quat
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
@@ -118,7 +119,7 @@ def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
     with quiet_colmap():
         model.write_binary(path)
     failures = {name: scene.failures[name] for name in sorted(scene.failures)}
-    (path / _FAILURES).write_text(json.dumps(failures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(path / _FAILURES, failures)
 
 
 def _add_frame(

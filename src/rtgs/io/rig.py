@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
 from rtgs.maths.geometry import SE3, is_rotation, nearest_rotation
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
 from rtgs.records.radiometry import (
@@ -79,12 +80,17 @@ def read_rig(path: Path) -> RigFile:
 
 def write_rig(path: Path, rig: Rig, radiometry: Radiometry) -> None:
     """Write `rig.json` so that `read_rig` gives the same records."""
+    write_json(path, rig_to_json(rig, radiometry))
+
+
+def rig_to_json(rig: Rig, radiometry: Radiometry) -> dict[str, Any]:
+    """The content of `rig.json`."""
     thermal = camera_to_json(rig.thermal) | radiometry_to_json(radiometry)
     data = {"rgb": camera_to_json(rig.rgb), "thermal": thermal, "rgb_from_thermal": rig.rgb_from_thermal.matrix().tolist()}
     if rig.calibration_std is not None:
         values = asdict(rig.calibration_std)
         data["uncertainty"] = {"rotation_deg": math.degrees(values.pop("rotation_rad"))} | values
-    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    return data
 
 
 def _calibration_std(path: Path, data: Mapping[str, Any], warnings: list[str]) -> CalibrationStd | None:

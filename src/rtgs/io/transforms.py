@@ -5,7 +5,6 @@ OpenGL's camera looks along −z with y up; it is turned to OpenCV's axes here a
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
 from rtgs.io.image_files import frame_name, in_thermal_folder
 from rtgs.io.rig import camera_from_json, finite_number, read_json_object, rigid_from_json
 from rtgs.maths.geometry import SE3
@@ -80,7 +80,7 @@ def write_transforms(path: Path, camera: Camera, world_from_rgb: Mapping[str, SE
         {"file_path": file_paths[name], "transform_matrix": (pose @ _OPENGL_FROM_OPENCV).matrix().tolist()}
         for name, pose in sorted(world_from_rgb.items())
     ]
-    path.write_text(json.dumps({**head, "frames": frames}, indent=1) + "\n", encoding="utf-8")
+    write_json(path, {**head, "frames": frames})
 
 
 def _camera(path: Path, data: Mapping[str, Any], image_size: tuple[int, int]) -> Camera | None:

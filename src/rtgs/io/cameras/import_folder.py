@@ -7,7 +7,6 @@ import. What the files can't say (no radiometric JPEG holds the transform betwee
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
 from rtgs.io.cameras.common_facts import Facts, Pair, common_facts
 from rtgs.io.cameras.nominal_rig import check_sizes, disagreements, nominal_rig
@@ -90,7 +90,7 @@ def import_folder(
         write_rig(out / "rig.json", rig_file.rig, facts.radiometry)
         return ImportResult(len(files), (), (*notes, *rig_file.warnings))
     rig_json, missing = nominal_rig(facts)
-    (out / "rig.json").write_text(json.dumps(rig_json, indent=1) + "\n", encoding="utf-8")
+    write_json(out / "rig.json", rig_json)
     return ImportResult(len(files), tuple(missing), tuple(notes))
 
 
