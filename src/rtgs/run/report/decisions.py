@@ -9,6 +9,13 @@ from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import section
 from rtgs.run.report.values import minus
 
+_TITLES = {
+    "rows": "Rows of the photographs",
+    "drift": "Drift of the sensor",
+    "pattern": "Pattern of the sensor",
+    "gains": "Gain of each frame",
+    "ridge": "Regularisation (ridge)",
+}
 _COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after", "Gain needed")
 
 
@@ -19,11 +26,12 @@ def decisions_section(run: Contents) -> str:
     head = "".join(f"<th>{column}</th>" for column in _COLUMNS)
     rows = "".join(_row(decision) for decision in run.decisions)
     note = (
-        "<p>The thermal fit makes these choices by itself. It sets some training frames aside, fits the others with and without "
-        "what is decided about, and compares the mean error on the frames set aside. Held-out frames are not used.</p>"
+        "<p>The thermal fit makes these choices by itself, unless a setting makes them. It fits some of the training frames with and "
+        "without what is decided about, and compares the mean error on the other ones, the validation frames. Held-out frames are "
+        "not used.</p>"
     )
     table = f'<table class="decisions"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
-    return section("What the thermal fit decided", f'{note}<div class="wide">{table}</div>')
+    return section("Decisions of the thermal fit", f'{note}<div class="wide">{table}</div>')
 
 
 def _row(decision: Decision) -> str:
@@ -31,7 +39,7 @@ def _row(decision: Decision) -> str:
     cells = [html.escape(c) for c in (decision.choice, decision.reason, _errors(decision), needed)]
     # The heading of each cell stands in front of it where the screen is too narrow for columns.
     body = "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(_COLUMNS[1:], cells, strict=True))
-    return f"<tr><th>{html.escape(decision.name)}</th>{body}</tr>"
+    return f"<tr><th>{html.escape(_TITLES.get(decision.name, decision.name))}</th>{body}</tr>"
 
 
 def _errors(decision: Decision) -> str:
