@@ -108,7 +108,7 @@ def test_poses_from_photographs_and_a_blank_image_is_named(own_room: Path) -> No
     before = listing(own_room)
     stages: dict[str, list[tuple[int, int]]] = {}
     scene = run_sfm(
-        load_capture(own_room), CONFIG, progress=lambda stage, done, total: stages.setdefault(stage, []).append((done, total))
+        load_capture(own_room), CONFIG, progress=lambda done, total, stage: stages.setdefault(stage, []).append((done, total))
     )
     assert list(scene.world_from_rgb) == NAMES
     assert scene.failures == {"999": "few features (0)"}
@@ -150,7 +150,7 @@ def test_poses_with_points_are_taken_as_they_are(own_room: Path) -> None:
     (own_room / "sparse" / "0").mkdir(parents=True)
     model.write_binary(own_room / "sparse" / "0")
     called: list[str] = []
-    scene = run_sfm(load_capture(own_room), progress=lambda stage, done, total: called.append(stage))
+    scene = run_sfm(load_capture(own_room), progress=lambda done, total, stage: called.append(stage))
     assert called == []
     assert len(scene.points) == 1
     assert list(scene.failures) == NAMES[4:]
@@ -192,7 +192,7 @@ def test_no_points_from_given_poses_is_a_warning(own_room: Path) -> None:
 
 
 def test_a_stop_from_the_progress_callback_ends_the_work(room: Path) -> None:
-    def stop(stage: str, done: int, total: int) -> None:
+    def stop(done: int, total: int, stage: str) -> None:
         if stage == "matching":
             raise KeyboardInterrupt
 

@@ -138,7 +138,7 @@ class Pipeline:
         capture = self.capture
         scene, seconds = self._timed(
             "structure from motion",
-            lambda progress: run_sfm(capture, self.config.sfm, progress=lambda text, done, total: progress(done, total, text)),
+            lambda progress: run_sfm(capture, self.config.sfm, progress=progress),
         )
         self.folder.write_scene(scene, None)
         self.folder.write_summary(scene)
