@@ -13,11 +13,18 @@ from matplotlib.figure import Figure
 from rtgs.base.files import write_whole
 from rtgs.experiments.records import Record
 
-_LEAST_PCT = 1e-3  # drawn there what is below
+_LEAST_PCT = 1e-3  # smaller errors are drawn here
 
 
 def draw_errors(folder: Path, records: Sequence[Record], titles: Mapping[str, str]) -> list[Path]:
-    """Two SVG files from the records of Table I; titles: method → what the legend calls it, in order."""
+    """Draw two SVG files from the records of Table I.
+
+    Args:
+        titles: method → its name in the legend, in the legend's order.
+
+    Returns:
+        The paths.
+    """
     figures = {"errors_by_start": _by_start, "errors_cumulative": _cumulative}
     written = []
     for name, draw in figures.items():

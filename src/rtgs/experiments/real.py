@@ -1,7 +1,7 @@
 """`rtgs experiment real`: the paper's Table III on any capture.
 
-The RGB model is frozen. Each row says where the thermal camera is in its own way; then new thermal harmonics are fitted to the training
-images, by one solver with one set of settings, and held-out thermal images are scored where every row has pixels.
+The RGB model is frozen. Each row places the thermal camera by another strategy. Then thermal colours are fitted to the training images, by
+one solver with one set of settings, and held-out thermal images are scored where every row has pixels.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rtgs.thermal import fit_thermal
 
 
 def real_experiment(source: Path, out: Path, config: RealExperimentConfig, reporter: Reporter) -> list[Path]:
-    """Table III of a run, or of a capture, which is run first (to `out`/run: with the defaults, or its own settings if it is there).
+    """Make Table III of a run, or of a capture. A capture is run first, in `out`/run, with the settings found there or the defaults.
 
     A row that an earlier call made from the same inputs is not made again.
 
@@ -60,7 +60,15 @@ def real_experiment(source: Path, out: Path, config: RealExperimentConfig, repor
 def compare(
     scene: Scene, rgb_model: RgbModel, estimate: ScaleEstimate, out: Path, config: RealExperimentConfig, reporter: Reporter
 ) -> list[Path]:
-    """The same for what is in memory: the scene with its rig as calibrated. `real_experiment` has the details."""
+    """Make Table III of what is in memory.
+
+    Args:
+        scene: with its rig as calibrated.
+        estimate: of this package; a refined rig is in it.
+        out: folder of the tables, pictures and rows; rows of earlier calls are kept there.
+
+    Returns, raises: as `real_experiment`.
+    """
     config.check()
     _check_names(config, scene.capture)
     held_out = [f.name for f in scene.held_out_frames]
@@ -133,7 +141,7 @@ def _check_names(config: RealExperimentConfig, capture: Capture) -> None:
 
 
 def _fingerprint(given: Given) -> str:
-    """Of what every row depends on: pictures, poses, rig, RGB model, settings of the fit."""
+    """A hash of what every row depends on: images, poses, rig, RGB model, settings of the thermal fit."""
     scene, rgb_model, config = given.scene, given.rgb_model, given.config
     digest = hashlib.sha256()
     for array in (t.detach().numpy() for t in (*rgb_model.gaussians.tensors().values(), rgb_model.background)):

@@ -1,4 +1,4 @@
-"""Rows of Table III on disk: an image a held-out frame, and what they were made from."""
+"""Rows of Table III, in memory and on disk."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from rtgs.base.files import write_whole
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One way to place the thermal camera, and what came of it.
+    """The result of one strategy.
 
     Attributes:
-        sfm_per_metre: None for a way without one.
-        images: held-out frame → `[h, w]` in the thermal camera, NaN where there is no pixel; empty where the row could not run.
-        why: why it could not.
+        sfm_per_metre: None for a strategy without a scale.
+        images: held-out frame → `[h, w]` in the thermal camera, NaN where the row has no pixel; empty where the strategy could not run.
+        why: the reason why it could not run.
+        seconds: spent on placement and fit.
     """
 
     key: str
@@ -32,7 +33,7 @@ class Row:
     seconds: float = 0.0
 
     def write(self, path: Path, fingerprint: str) -> None:
-        """Whole or not at all."""
+        """Write an npz file, whole or not at all. fingerprint: of what the row was made from."""
         memory = io.BytesIO()
         np.savez_compressed(
             memory,
@@ -47,7 +48,7 @@ class Row:
 
     @staticmethod
     def read(path: Path, title: str, fingerprint: str) -> Row | None:
-        """What `write` left, or None: there is none, or one of other inputs."""
+        """Read what `write` wrote; None where there is no file, or one with another fingerprint."""
         if not path.exists():
             return None
         try:

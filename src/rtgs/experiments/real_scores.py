@@ -1,4 +1,4 @@
-"""Scores of Table III's rows: all on the same pixels, those that every row has."""
+"""Scores of Table III's rows, all on the same pixels: those that every row has."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ class Scored:
     Attributes:
         frames: row → held-out frame → score → value. means: row → score → mean over frames, and the region's mean temperature.
         share: of the thermal image that was scored.
-        lo, hi, unit: of the range. missing: sentences about scores that there are not.
+        lo, hi, unit: range of PSNR, SSIM and LPIPS.
+        region_note: a sentence on the region; "" where none was asked for.
+        missing: sentences on scores that could not be computed.
     """
 
     frames: dict[str, dict[str, dict[str, float]]]
@@ -56,7 +58,7 @@ class Scored:
         return list(dict.fromkeys(name for values in self.means.values() for name in values))
 
     def lines(self) -> list[str]:
-        """For a terminal: a line a row."""
+        """One line a row, for a terminal."""
         return [
             f"{key}: " + ", ".join(f"{HEADINGS[k]} {shown(k, v)}" for k, v in values.items())
             for key, values in self.means.items()
@@ -73,7 +75,7 @@ def common_mask(scene: Scene, rows: Sequence[Row]) -> NDArray[np.bool_]:
 
 
 def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progress: Progress) -> Scored:
-    """Every row that ran, on the pixels that all of them have.
+    """Score every row that has images, on the pixels that all of them have.
 
     Raises:
         RtgsError: the region has no such pixel.
@@ -118,7 +120,7 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
 
 
 def _networks(mask: NDArray[np.bool_]) -> tuple[dict[str, Lpips], list[str]]:
-    """The LPIPS networks that can be had, and sentences about the others."""
+    """The LPIPS networks whose weights are found, and a sentence on each of the others."""
     if min(mask.shape) < SMALLEST_PX:
         return {}, [f"No LPIPS: the thermal images are under {SMALLEST_PX} px a side."]
     found, missing = {}, []

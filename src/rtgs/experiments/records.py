@@ -1,4 +1,4 @@
-"""What the synthetic experiment leaves in its folder: one small file a trial, row and method, written whole or not at all."""
+"""The folder of the synthetic experiment: one small file for each trial, row and method, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from rtgs.base.json_records import read_record, read_run_json, write_json
 
 @dataclass(frozen=True)
 class Record:
-    """One method on one row of one trial.
+    """Result of one method on one row of one trial.
 
     Attributes:
-        start: s0 of the descents. found: ŝ.
-        error_pct: 100 · |ŝ/s − 1|. product_error_pct: 100 · |ŝ·|t̂| / (s·|t|) − 1|: what the images know, the rig's length error apart.
-        iterations: steps until s stays within 0.5 % of the last one (descents), or scales tried while refining (ours).
-        renders: pictures drawn. seconds: of one core; of a descent, its renders times what one costs with its loss.
-        half_width_pct: half of the 95 % interval, where there is one. status: "ok", or what the method says of itself.
+        truth, start, found: SfM units per metre; `start` is where descents begin.
+        error_pct: 100 · |ŝ/s − 1|. product_error_pct: 100 · |ŝ·|t̂| / (s·|t|) − 1|, which an error in the length of the rig's baseline
+            does not change.
+        iterations: of a descent, the steps until s stays within 0.5 % of the last one; of the search, the scales tried while refining.
+        renders: pictures drawn.
+        seconds: of one core. Of a descent: its renders, times the seconds that one render with its loss takes.
+        half_width_pct: half of the 95 % interval's width; None where there is no interval.
+        status: of the estimate; "ok" for methods that give none.
     """
 
     scene: str

@@ -1,4 +1,4 @@
-"""Scenes and trials: one RGB model a scene; a rig, its noise and a start a trial."""
+"""Scenes and trials. A scene has one RGB model. A trial is a scene with a rig, its noise and a start."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from rtgs.synthetic.draws import sfm_per_metre_of
 from rtgs.synthetic.rig import true_rig, written_rig
 from rtgs.synthetic.sensor import RADIOMETRY, contrast_gains, noise_rng, record_thermal
 
-_START = (0.5, 2.0)  # s0 over the truth
+_START = (0.5, 2.0)  # range of start / truth
 
 
 def prepare(folder: Path, config: SynthConfig, rgb: RgbConfig) -> None:
-    """Render a scene's photographs, triangulate points and train its RGB model, where that is still to do."""
+    """Render a scene's photographs, triangulate points and train its RGB model, unless an earlier call did."""
     done = folder / "scene.json"
     if done.exists():
         return
@@ -63,8 +63,8 @@ class Trial:
     """A scene with its RGB model, seen by the rig of one seed.
 
     Attributes:
-        config: of its capture, without a row's changes.
-        truth: `sfm_per_metre`. start: s0.
+        config: settings of its capture, without the changes of a row.
+        truth: the true `sfm_per_metre`. start: where descents begin.
     """
 
     base: Scene
@@ -90,7 +90,11 @@ class Trial:
         return [render_thermal(model, rig.thermal, pose @ rig.rgb_from_thermal, config.supersampling) for pose in poses]
 
     def scene(self, variant: Variant, clean: list[NDArray[np.float32]]) -> Scene:
-        """The scene as a row has it: what the sensor recorded, and the rig that is told."""
+        """The scene of a row: the images that its sensor records, and the rig as its calibration says.
+
+        Args:
+            clean: °C in every frame, from `temperatures`.
+        """
         config, capture = variant.capture(self.config), self.base.capture
         rig = written_rig(config, true_rig(config))
         frames = []

@@ -22,13 +22,19 @@ from rtgs.records.capture import Split
 
 SUCCESS_PCT = 2.0
 RUN = f"{MUTUAL_INFORMATION.key}_run"  # Adam that renders at every step, to check a replay
-_OTHERS = (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key)  # whom the other tables show
+_OTHERS = (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key)  # the methods of the other tables
 TITLES = {**{r.key: r.title for r in RIVALS}, **{own.key: own.title for own in (OURS, OURS_REFINED)}}
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Of one method's errors on a row; errors in per cent, the last three are medians (NaN where they mean nothing)."""
+    """Statistics of one method's trials on a row.
+
+    Attributes:
+        method: its key. trials: how many.
+        median_pct, p90_pct: of the scale's error, per cent. success_pct: share of trials with an error up to `SUCCESS_PCT`.
+        iterations, renders, seconds: medians; NaN for the starts themselves.
+    """
 
     method: str
     trials: int
@@ -41,7 +47,7 @@ class Summary:
 
     @staticmethod
     def of(method: str, records: Sequence[Record], *, product: bool = False) -> Summary:
-        """Of records, of which there is at least one. product: of s·|t| instead of s."""
+        """From at least one record. product: errors of s·|t| instead of s."""
         errors = np.array([r.product_error_pct if product else r.error_pct for r in records])
         return Summary(
             method,
@@ -56,7 +62,7 @@ class Summary:
 
     @staticmethod
     def of_starts(records: Sequence[Record]) -> Summary:
-        """Of the starts themselves."""
+        """Errors of the starts, before any method has run."""
         errors = np.array([100 * abs(r.start / r.truth - 1) for r in records])
         success = 100 * float(np.mean(errors <= SUCCESS_PCT))
         nothing = (math.nan, math.nan, math.nan)
@@ -64,7 +70,7 @@ class Summary:
 
 
 def write_tables(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> list[Path]:
-    """Markdown, CSV and figures of the tables asked for, from the records that are there; returns the paths."""
+    """Write Markdown, CSV and figures of the tables that are asked for, from the records that are there; returns the paths."""
     records = [r for r in folder.records() if r.scene in (*config.scenes, FAR_SCENE) and r.seed < config.seeds]
     written = [write_records_csv(folder.path / "trials.csv", Record, records)]
     command = "rtgs experiment synthetic --out DIR"
@@ -87,7 +93,7 @@ def write_tables(folder: ExperimentFolder, config: SyntheticExperimentConfig) ->
 
 
 def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tuple[Page, list[Summary]]:
-    """The page and its rows."""
+    """Table I: the page, and its rows as statistics."""
     here = [r for r in records if r.variant == REFERENCE]
     groups = {key: [r for r in here if r.method == key] for key in TITLES}
     most = max(groups.values(), key=len)
@@ -105,7 +111,7 @@ def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tup
 
 
 def rows_table(records: Sequence[Record], rows: Sequence[Variant]) -> str:
-    """Med % / SR@2 % for each row and method."""
+    """Median error and success rate of each method, one line a row of the table, in Markdown."""
     methods = [key for key in _OTHERS if any(r.method == key for r in records)]
     lines = ["Med % / SR@2 %, of s; in brackets Med % of s·|t|, where the rig's length is off.", ""]
     lines += [
@@ -130,7 +136,7 @@ def rows_table(records: Sequence[Record], rows: Sequence[Variant]) -> str:
 
 
 def ablation_table(records: Sequence[Record], config: SyntheticExperimentConfig) -> Page:
-    """The search as it is, and with one setting changed."""
+    """The search with its defaults, and with one setting changed at a time."""
     methods = (OURS, *ABLATION)
     here = [r for r in records if r.variant == REFERENCE and r.method in {m.key for m in methods}]
     lines = [
@@ -152,7 +158,7 @@ def ablation_table(records: Sequence[Record], config: SyntheticExperimentConfig)
 
 
 def scene_table(folder: ExperimentFolder, config: SyntheticExperimentConfig) -> str:
-    """The RGB models."""
+    """How many points and Gaussians each scene's RGB model has, and how good it is, in Markdown."""
     lines = ["| scene | points | Gaussians | RGB held out, dB |", "|---|---:|---:|---:|"]
     for name in config.scenes:
         facts = SceneFacts.read(folder.scene(name))
@@ -170,7 +176,7 @@ def _where(records: Sequence[Record], config: SyntheticExperimentConfig) -> str:
 
 
 def _comparison(groups: dict[str, list[Record]]) -> list[str]:
-    """By how much this method is worse than the paper's where it is worst, and its intervals."""
+    """One line: the trial where this method loses most against the paper's, and how often its interval holds the truth."""
     text = []
     paper = {(r.scene, r.seed): r.error_pct for r in groups[NGF_PYRAMID.key]}
     paired = [(r.error_pct - paper[r.scene, r.seed], r) for r in groups[OURS.key] if (r.scene, r.seed) in paper]
@@ -186,7 +192,7 @@ def _comparison(groups: dict[str, list[Record]]) -> list[str]:
 
 
 def _checks(records: Sequence[Record]) -> list[str]:
-    """Replays beside runs that rendered at every step."""
+    """One line: how far replays are from runs that rendered at every step."""
     replayed = {(r.scene, r.seed): r for r in records if r.method == MUTUAL_INFORMATION.key}
     runs = [(r, replayed[r.scene, r.seed]) for r in records if r.method == RUN and (r.scene, r.seed) in replayed]
     if not runs:

@@ -1,4 +1,4 @@
-"""What the rows of the tables change: the images, the calibration, or how much there is of either."""
+"""Rows of the tables: each changes the images, the calibration, or the number of frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Variant:
         key: in file names. title, level: in tables.
         changes: fields of `SynthConfig`.
         inverted: hot and cold change places in the thermal images.
-        frames: as many training frames, evenly spaced; None: all.
+        frames: how many training frames, evenly spaced; None: all.
         thermal_share: size of the thermal images as a share of the RGB images'.
     """
 
@@ -38,13 +38,14 @@ class Variant:
 
     @property
     def cameras(self) -> tuple[Any, ...]:
-        """Rows that agree in this see the same renders."""
+        """Rows with equal values need the same renders."""
         moved = ("rig_direction_error", "rig_rotation_error_deg", "thermal_focal_error")
         return (self.thermal_share, *(self.changes.get(name, 0.0) for name in moved))
 
     @property
     def length_factor(self) -> float:
-        """Written over true baseline length. Eq. 1 knows the product s·|t| alone: this moves a curve along θ and changes nothing else."""
+        """Baseline length as calibrated, divided by the true one. Eq. 1 has only the product s·|t|, so that this factor moves a loss curve
+        along θ and changes nothing else."""
         return 1.0 + float(self.changes.get("rig_length_error", 0.0))
 
 
@@ -86,7 +87,7 @@ ROWS: dict[SyntheticTable, tuple[Variant, ...]] = {
 
 
 def groups(variants: Sequence[Variant]) -> list[list[Variant]]:
-    """Rows whose renders are shared, together."""
+    """The rows, grouped by the renders that they need."""
     found: dict[tuple[Any, ...], list[Variant]] = {}
     for variant in variants:
         found.setdefault(variant.cameras, []).append(variant)

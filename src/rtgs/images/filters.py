@@ -37,7 +37,7 @@ def sobel(image: Tensor, across: tuple[float, float] = SOBEL) -> tuple[Tensor, T
 
 
 def downsample(image: Tensor, factor: int) -> Tensor:
-    """Mean over `factor` × `factor` blocks of `[H, W]` or `[H, W, C]`; a rest at the right and bottom is left out."""
+    """Mean over `factor` × `factor` blocks of `[H, W]` or `[H, W, C]`; rows and columns left over at the bottom and right are dropped."""
     if factor == 1:
         return image
     h, w = image.shape[0] // factor, image.shape[1] // factor
@@ -46,7 +46,7 @@ def downsample(image: Tensor, factor: int) -> Tensor:
 
 
 def blurred(images: Tensor, sigma: float) -> Tensor:
-    """`[K, H, W]` under a Gaussian of standard deviation `sigma` pixels; edge pixels go on beyond the edge."""
+    """`[K, H, W]` convolved with a Gaussian of standard deviation `sigma` pixels; the border is continued by its own pixels."""
     reach = max(1, math.ceil(3.0 * sigma))
     x = torch.arange(-reach, reach + 1, dtype=images.dtype, device=images.device)
     kernel = torch.exp(-0.5 * (x / sigma) ** 2)

@@ -1,4 +1,4 @@
-"""Arrays to pictures that a person looks at: colour maps with their bars, error maps, edge overlays.
+"""Pictures for people, made from arrays: colour maps with their bars, error maps, edge overlays.
 
 Every picture is uint8 `[H, W, 3]` RGB. These are for screens only; nothing is ever computed from them.
 """

