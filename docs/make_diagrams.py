@@ -85,109 +85,105 @@ class Diagram:
 
 def pipeline() -> None:
     """What goes from stage to stage."""
-    d = Diagram(760, 560, "The five stages of a run, and the file that each leaves")
+    d = Diagram(470, 620, "The five stages of a run, and the file that each leaves")
     rows = [
-        ("Photographs and rig.json", "capture/", "RGB and thermal images, one pair an instant"),
-        ("1  Structure from motion", "scene/", "RGB camera poses and points, in an unknown unit"),
-        ("2  RGB model", "rgb.ply", "3D Gaussians with colours"),
-        ("3  Metric scale", "scale.json", "SfM units per metre, interval, status"),
-        ("4  Thermal model", "thermal.ply", "the same Gaussians with temperatures"),
-        ("5  Evaluation", "report.html", "scores on held-out views, pictures"),
+        ("Photographs and rig.json", "RGB and thermal images, one pair for each instant"),
+        ("1  Structure from motion → scene/", "RGB camera poses and points, in an unknown unit"),
+        ("2  RGB model → rgb.ply", "3D Gaussians with colours"),
+        ("3  Metric scale → scale.json", "SfM units per metre, interval, status"),
+        ("4  Thermal model → thermal.ply", "the same Gaussians with temperatures"),
+        ("5  Evaluation → report.html", "scores on held-out views, pictures"),
     ]
-    for i, (title, file, what) in enumerate(rows):
-        y = 45 + i * 94
-        d.box(190, y, 330, 50, [title], ACCENT if i else GOOD, bold=True)
-        d.text(375, y - (10 if what else 0), [file], anchor="start", bold=True)
-        if what:
-            d.text(375, y + 11, [what], anchor="start", size=14)
+    for i, (title, what) in enumerate(rows):
+        y = 40 + i * 106
+        d.box(235, y, 440, 66, [], ACCENT if i else GOOD)
+        d.text(235, y - 13, [title], bold=True)
+        d.text(235, y + 13, [what], size=14)
         if i:
-            d.arrow([(190, y - 94 + 25), (190, y - 27)])
+            d.arrow([(235, y - 106 + 33), (235, y - 35)])
     d.write("pipeline")
 
 
 def rig() -> None:
     """Eq. 1: where the thermal camera stands for two scales."""
-    d = Diagram(640, 300, "The thermal camera moves along the baseline as the scale grows, and near edges move most")
-    d.parts.append('<path d="M168,250 H188 M272,250 H288 M372,250 H392" stroke="currentColor" stroke-dasharray="4 3"/>')
-    d.box(120, 250, 96, 40, ["RGB"], ACCENT, bold=True)
-    for x, label, colour in ((230, "s small", FAIR), (330, "s large", POOR)):
-        d.box(x, 250, 84, 40, [label], colour)
-    for x, colour in ((230, FAIR), (330, POOR)):
-        for target in ((200, 130), (420, 40)):
-            d.parts.append(
-                f'<line x1="{x}" y1="230" x2="{target[0]}" y2="{target[1]}" stroke="{colour}" stroke-width="1.5" stroke-opacity="0.8"/>'
-            )
-    d.parts.append('<circle cx="200" cy="126" r="8" fill="currentColor"/><circle cx="420" cy="36" r="8" fill="currentColor"/>')
-    d.text(186, 122, ["near edge"], anchor="end")
-    d.text(438, 36, ["far edge"], anchor="start")
-    d.text(400, 238, ["thermal camera at", "baseline direction × s × metres"], anchor="start", size=14)
+    d = Diagram(480, 300, "The thermal camera moves along the baseline as the scale grows, and near edges move most")
+    d.parts.append('<path d="M99,240 H122 M206,240 H232 M316,240 H340" stroke="currentColor" stroke-dasharray="4 3"/>')
+    d.box(56, 240, 86, 40, ["RGB"], ACCENT, bold=True)
+    for x, label, colour in ((164, "s small", FAIR), (274, "s large", POOR)):
+        d.box(x, 240, 84, 40, [label], colour)
+        for to_x, to_y in ((150, 140), (370, 40)):
+            d.parts.append(f'<line x1="{x}" y1="220" x2="{to_x}" y2="{to_y}" stroke="{colour}" stroke-width="1.5"/>')
+    d.parts.append('<circle cx="150" cy="136" r="8" fill="currentColor"/><circle cx="370" cy="36" r="8" fill="currentColor"/>')
+    d.text(136, 132, ["near edge"], anchor="end")
+    d.text(388, 36, ["far edge"], anchor="start")
     d.text(
-        400, 150, ["The direction to the near edge", "changes much with s,", "to the far edge hardly."], anchor="start", size=14
+        350, 120, ["The direction to the near", "edge changes much with s,", "to the far edge hardly."], anchor="start", size=13
     )
+    d.text(235, 284, ["thermal camera at baseline direction × s × metres"], size=14)
     d.write("rig")
 
 
 def scale_verdict() -> None:
     """From the search to the status."""
-    d = Diagram(584, 865, "Flow chart: how the scale's status is decided")
-    d.box(200, 40, 330, 56, ["Bracket: image motion between", "½ pixel and half the image"])
-    d.box(200, 132, 330, 56, ["Coarse scan of the bracket,", "all likely minima kept"])
-    d.box(200, 224, 330, 56, ["Gauss–Newton from each minimum,", "coarse to fine"])
-    d.arrow([(200, 68), (200, 102)])
-    d.arrow([(200, 160), (200, 194)])
+    d = Diagram(474, 865, "Flow chart: how the scale's status is decided")
+    x, w, answer = 155, 290, 398
+    d.box(x, 40, w, 56, ["Bracket: image motion between", "½ pixel and half the image"])
+    d.box(x, 132, w, 56, ["Coarse scan of the bracket,", "all likely minima kept"])
+    d.box(x, 224, w, 56, ["Gauss–Newton from each", "minimum, coarse to fine"])
+    d.arrow([(x, 68), (x, 102)])
+    d.arrow([(x, 160), (x, 194)])
+    d.arrow([(x, 252), (x, 286)])
     questions = [
         ["Lowest loss at the upper", "end of the scan?"],
         ["Answer outside the bracket?"],
         ["No better than no baseline", "(3 standard errors)?"],
         ["Loss flat, or half interval", "above 0.5 in ln s?"],
+        ["Another minimum better in", "over 2.5 % of resamples?"],
     ]
-    d.arrow([(200, 252), (200, 286)])
     for i, lines in enumerate(questions):
         y = 318 + i * 100
-        d.question(200, y, 330, 62, lines)
-        if y < 618:
-            d.arrow([(365, y), (490, y), (490, 591)], "yes", (385, y - 12))
+        d.question(x, y, w, 62, lines)
+        if i < 3:
+            d.arrow([(x + w / 2, y), (answer, y), (answer, 591)], "yes", (x + w / 2 + 20, y - 12))
         else:
-            d.arrow([(365, y), (404, y)], "yes", (384, y - 13))
-        d.arrow([(200, y + 31), (200, y + 67)], "no", (184, y + 46))
-    d.box(490, 618, 168, 50, ["unobservable"], POOR, bold=True)
-    d.question(200, 718, 330, 62, ["Another minimum better in", "over 2.5 % of resamples?"])
-    d.arrow([(365, 718), (404, 718)], "yes", (384, 705))
-    d.box(490, 718, 168, 50, ["ambiguous"], FAIR, bold=True)
-    d.arrow([(200, 749), (200, 801)], "no", (184, 770))
-    d.box(200, 828, 168, 50, ["ok"], GOOD, bold=True)
+            d.arrow([(x + w / 2, y), (answer - 72, y)], "yes", (x + w / 2 + 12, y - 14))
+        d.arrow([(x, y + 31), (x, y + 67 if i < 4 else 801)], "no", (x - 16, y + 48))
+    d.box(answer, 618, 140, 50, ["unobservable"], POOR, bold=True)
+    d.box(answer, 718, 140, 50, ["ambiguous"], FAIR, bold=True)
+    d.box(x, 828, 140, 50, ["ok"], GOOD, bold=True)
     d.write("scale_verdict")
 
 
 def thermal_decisions() -> None:
     """The order of the thermal fit's decisions."""
-    d = Diagram(600, 1080, "Flow chart: the decisions of the thermal fit, in order")
-    x, w = 215, 370
-    d.box(x, 45, w, 56, ["Leave every 8th training frame out:", "the validation frames"])
+    d = Diagram(480, 1080, "Flow chart: the decisions of the thermal fit, in order")
+    x, w = 160, 300
+    d.box(x, 45, w, 56, ["Leave every 8th training frame", "out: the validation frames"])
     d.arrow([(x, 73), (x, 107)])
-    d.box(x, 137, w, 56, ["Least squares on the other frames,", "with and without offsets for each frame"])
+    d.box(x, 137, w, 56, ["Least squares on the other frames,", "with and without offsets"])
     steps = [
-        (["1  Drift: do offsets predict", "validation frames better?"], ["offsets of frames", "join the fit"]),
-        (["2  Pattern: is something in the same", "place of every photograph?"], ["pattern subtracted", "from photographs"]),
-        (["3  Gains: does the contrast", "differ from frame to frame?"], ["gains of frames", "join the fit"]),
+        (["1  Drift: do offsets predict", "validation frames better?"], ["offsets of", "frames join the fit"]),
+        (["2  Pattern: is something in the", "same place of every photograph?"], ["pattern", "subtracted"]),
+        (["3  Gains: does the contrast", "differ from frame to frame?"], ["gains of", "frames join the fit"]),
     ]
+    right = x + w / 2
     for i, (question, answer) in enumerate(steps):
         y = 245 + i * 150
         d.arrow([(x, 165 if i == 0 else y - 150 + 92), (x, y - 35)])
         d.question(x, y, w, 66, question)
-        d.arrow([(x + w / 2, y), (x + w / 2 + 45, y), (x + w / 2 + 45, y + 36)], "yes", (x + w / 2 + 22, y - 12))
-        d.box(x + w / 2 + 95, y + 65, 180, 54, answer, GOOD)
-        d.arrow([(x + w / 2 + 5, y + 75), (x, y + 75), (x, y + 92)])
+        d.arrow([(right, y), (right + 85, y), (right + 85, y + 36)], "yes", (right + 30, y - 12))
+        d.box(right + 88, y + 65, 150, 54, answer, GOOD)
         d.parts.append(f'<line x1="{x}" y1="{y + 33}" x2="{x}" y2="{y + 92}" stroke="currentColor" stroke-width="1.5"/>')
-        d.text(x - 16, y + 52, ["no"], size=14)
+        d.arrow([(right + 13, y + 72), (x + 2, y + 72)])
+        d.text(x - 16, y + 50, ["no"], size=14)
     d.arrow([(x, 637), (x, 679)])
-    d.box(x, 712, w, 62, ["4  Ridge: four strengths solved together,", "Huber loss, early stopping by validation error"], FAIR)
+    d.box(x, 712, w, 62, ["4  Ridge: four strengths, Huber", "loss, early stopping"], FAIR)
     d.arrow([(x, 743), (x, 787)])
     d.box(x, 818, w, 60, ["Final fit on all training frames,", "Huber loss, few iterations"])
     d.arrow([(x, 848), (x, 892)])
-    d.box(x, 923, w, 60, ["Gauge: median gain 1,", "no change at the scene's median"])
+    d.box(x, 923, w, 60, ["Gauge: median gain 1,", "median offset 0"])
     d.arrow([(x, 953), (x, 997)])
-    d.box(x, 1028, w, 60, ["thermal.ply, thermal.json", "decisions with their numbers"], GOOD, bold=True)
+    d.box(x, 1028, w, 60, ["thermal.ply, thermal.json", "with the decisions"], GOOD, bold=True)
     d.write("thermal_decisions")
 
 
