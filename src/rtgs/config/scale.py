@@ -30,7 +30,7 @@ class ScaleConfig:
     level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS
     """Pyramid weights, finest level first; one number gives the single-scale loss."""
     epsilon: float | None = None
-    """ε of the normalised gradient, images in [0, 1]; None: measured at each level (docs/scale.md), and the paper's 1e-6 for Adam."""
+    """ε of the normalised gradient, images in [0, 1]; None: measured at each level, and the paper's 1e-6 for Adam."""
     scan_samples: int = 64
     """Adam: log-spaced scales in the scan."""
     half_width: float = 0.001
@@ -39,7 +39,7 @@ class ScaleConfig:
     """Of more training frames than this, as many evenly spaced ones are used."""
     refine: tuple[str, ...] = ()
     """What of the calibration is refined with the scale: rotation, baseline-direction, focal, time-offset; each is held by its standard
-    deviation in rig.json, or a default (docs/scale.md)."""
+    deviation in rig.json, or a default (docs/how-it-works/scale.md)."""
     seed: int = 0
     """Order of mini-batches, and the bootstrap."""
 

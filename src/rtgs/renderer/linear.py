@@ -29,7 +29,7 @@ class LinearRender:
     """The linear map from colours to one view's picture, and its transpose.
 
     What is kept is the view's splats and their lists; the weights themselves, fifty or more a pixel, are computed again at each use
-    unless `keep_weights` has been called: a few dozen views of them fill a laptop's memory (docs/performance.md).
+    unless `keep_weights` has been called: a few dozen views of them fill a laptop's memory (docs/results/renderer-speed.md).
 
     Args:
         gaussians: geometry and opacity; its colours are not looked at.

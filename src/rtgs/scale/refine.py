@@ -1,6 +1,6 @@
 """The scale together with what the calibration has wrong: rotation, baseline direction, focal length and time offset, with priors.
 
-docs/scale.md, "Joint refinement", has the equations; its letters are those of the code.
+docs/how-it-works/scale.md, "Joint refinement", has the equations; its letters are those of the code.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The plan of the linear thermal fit (`ThermalConfig.solver = "linear"`).
 
 Geometry, opacity and poses are frozen, so a thermal image is affine in the harmonics and the background: fitting them is linear least
-squares. Nothing is added to the colours and nothing is clamped. docs/thermal.md has the equations.
+squares. Nothing is added to the colours and nothing is clamped. docs/how-it-works/temperatures.md has the equations.
 """
 
 from __future__ import annotations
