@@ -1,4 +1,4 @@
-"""A bounded store of arrays that can be made again."""
+"""A bounded store of images that can be made again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ Array = NDArray[np.float32]
 class ImageCache:
     """Keeps the images that were used last, up to a number of bytes, and makes the others again when they are asked for.
 
-    It may be used from several threads. Two threads that ask for the same missing image at the same time may both make it.
+    It may be used from several threads. Two threads that ask for the same missing image at the same time may both make it. Nobody may
+    write into an image: the next caller gets the same array.
     """
 
     def __init__(self, max_bytes: int) -> None:
@@ -26,7 +27,7 @@ class ImageCache:
 
     @property
     def bytes(self) -> int:
-        """What the kept images take."""
+        """How much memory the kept images take."""
         return self._bytes
 
     def get(self, key: Hashable, make: Callable[[], Array]) -> Array:

@@ -1,1 +1,1 @@
-"""Files: one module a format."""
+"""Reading and writing files: one module for each format."""

@@ -90,10 +90,10 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
 
 
 class _Images:
-    """Makes the frames' images of their files, when they are asked for.
+    """Makes the frames' images from their files when they are asked for.
 
-    The cache holds them in float32, as they are handed on. To keep them in 8 or 16 bits would take less memory and change results:
-    an undistorted, averaged image has values between those levels.
+    The cache keeps them in float32. Eight or 16 bits would take less memory but change results: an undistorted, averaged image has
+    values between those levels.
     """
 
     def __init__(self, raw_rig: Rig, radiometry: Radiometry, rgb_size: tuple[int, int], cache: ImageCache) -> None:
@@ -104,9 +104,11 @@ class _Images:
         self.thermal_mask = self._thermal_undistortion.mask
 
     def rgb(self, path: Path) -> NDArray[np.float32]:
+        """`[H, W, 3]` of `rgb_size`, undistorted."""
         return self._cache.get(path, lambda: _shrink(_undistorted(self._rgb_undistortion, path, read_rgb(path)), self.rgb_size))
 
     def thermal(self, path: Path) -> NDArray[np.float32]:
+        """`[h, w]` in the unit of the radiometry, undistorted."""
         return self._cache.get(
             path, lambda: _undistorted(self._thermal_undistortion, path, _thermal_values(path, self._radiometry))
         )

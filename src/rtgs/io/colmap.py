@@ -28,7 +28,7 @@ _FAILURES = "failures.json"
 
 @contextmanager
 def quiet_colmap() -> Iterator[None]:
-    """Silence COLMAP's log, errors included: what goes wrong is raised, and said once."""
+    """Silence COLMAP's log, errors included: whoever calls COLMAP raises them as messages of our own."""
     logging = pycolmap.logging
     before = (logging.minloglevel, logging.stderrthreshold, logging.alsologtostderr)
     logging.minloglevel, logging.stderrthreshold, logging.alsologtostderr = 3, 3, False
@@ -185,13 +185,13 @@ def points_from_colmap(model: pycolmap.Reconstruction) -> SparsePoints:
 
 
 def se3_from_rigid3d(rigid: pycolmap.Rigid3d) -> SE3:
-    """The same `a_from_b`."""
+    """COLMAP's record of a rigid transform `a_from_b` as ours."""
     x, y, z, w = rigid.rotation.quat  # COLMAP's Python side has the scalar last
     return SE3(rotation_from_quat([w, x, y, z]), np.array(rigid.translation, dtype=np.float64))
 
 
 def rigid3d_from_se3(transform: SE3) -> pycolmap.Rigid3d:
-    """The same `a_from_b`."""
+    """A rigid transform `a_from_b` as COLMAP's record."""
     w, x, y, z = quat_from_rotation(transform.rotation)
     return pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([x, y, z, w])), np.asarray(transform.translation, dtype=np.float64))
 

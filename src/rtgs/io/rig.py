@@ -224,7 +224,7 @@ def _rig_transform(path: Path, data: Mapping[str, Any]) -> SE3:
 
 
 def without_radiometry(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `rig.json` says of the cameras, and apart from it what it says of °C."""
+    """The content of `rig.json` in two parts: without the fields that give °C, and those fields alone."""
     thermal = data.get("thermal")
     if not isinstance(thermal, Mapping):
         return dict(data), {}

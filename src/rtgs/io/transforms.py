@@ -24,7 +24,7 @@ _OPENGL_FROM_OPENCV = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
 def read_transforms(path: Path, image_size: tuple[int, int]) -> tuple[Camera | None, dict[str, SE3]]:
-    """Read RGB poses.
+    """Read RGB poses and the RGB camera.
 
     Args:
         path: the file.

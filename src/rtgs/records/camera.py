@@ -76,7 +76,10 @@ class Camera:
         )
 
     def reduced(self, factor: int) -> Camera:
-        """The camera of `image.downsample(picture, factor)`: whole blocks only, so its size may round down but its focal length not."""
+        """The camera of `images.filters.downsample(picture, factor)`.
+
+        Only whole blocks of pixels count, so the size may round down. The focal lengths are divided exactly.
+        """
         parameters = {k: getattr(self, k) / factor for k in ("fl_x", "fl_y", "cx", "cy")}
         return replace(self, width=self.width // factor, height=self.height // factor, **parameters)
 

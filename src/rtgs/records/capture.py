@@ -90,17 +90,17 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A capture folder, validated and undistorted.
+    """A capture folder, checked. Its images are undistorted.
 
     Attributes:
         root: the folder.
-        raw_rig: cameras as calibrated, lens included, at the files' resolution (SfM reads the files).
-        rig: pinhole cameras of the images in `frames`.
+        raw_rig: the cameras as calibrated, with their lenses, at the files' resolution: structure from motion reads the files.
+        rig: the pinhole cameras of the images in `frames`.
         frames: in name order; all of them, registered or not.
         rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill.
         radiometry: how the files' counts became the values of `Frame.thermal`, and the unit of those.
         poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
-        warnings: what a person should know and can live with.
+        warnings: sentences for a person, on things that do not stop a run.
     """
 
     root: Path
@@ -138,10 +138,10 @@ class Split:
                 raise RtgsError(f"split.{name} is {value}; one frame in so many is taken, so it is at least 2.")
 
     def held_out_names(self, names: Sequence[str]) -> frozenset[str]:
-        """Of a capture's frames in name order."""
+        """Which frames are held out, from the names of all frames of a capture, in order."""
         return frozenset(names[:: self.held_out]) if isinstance(self.held_out, int) else self.held_out
 
     def validation_names(self, training: Sequence[str]) -> frozenset[str]:
-        """Of the training frames in name order."""
+        """Which frames choose settings, from the names of the training frames, in order."""
         every = self.validation
         return frozenset(training[every // 2 :: every]) if isinstance(every, int) else every

@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """N Gaussians in the world frame; a field says by its name under which activation it is stored.
+    """N Gaussians in the world frame. The name of a field says under which activation it is stored.
 
     Attributes:
         means: `[N, 3]`, SfM units.
@@ -32,19 +32,24 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
+        """The highest band of `sh`."""
         return int(self.sh.shape[1] ** 0.5 + 0.5) - 1
 
     @property
     def channels(self) -> int:
+        """3 for RGB, 1 for thermal."""
         return self.sh.shape[2]
 
     def tensors(self) -> dict[str, Tensor]:
+        """The fields by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def to(self, *args: Any, **kwargs: Any) -> Gaussians:
+        """The same model with another type or on another device; takes what `Tensor.to` takes."""
         return Gaussians(**{k: v.to(*args, **kwargs) for k, v in self.tensors().items()})
 
     def detach(self) -> Gaussians:
+        """The same values without their history of gradients."""
         return Gaussians(**{k: v.detach() for k, v in self.tensors().items()})
 
     def scaled(self, factor: float) -> Gaussians:

@@ -121,7 +121,7 @@ class PlanckCalibration:
             return np.asarray(self.r1 / (self.r2 * (np.exp(self.b / np.maximum(kelvin, 0.0)) - self.f)) - self.o)
 
     def blackbody_celsius(self, signal: NDArray[np.generic] | float) -> NDArray[np.float64]:
-        """The inverse. A signal of −O or less is below that of any temperature and reads as absolute zero, −273.15 °C."""
+        """The inverse of `blackbody_signal`. A signal of −O or less is below that of any temperature and gives −273.15 °C."""
         above_zero = self.r2 * (np.asarray(signal).astype(np.float64) + self.o)
         with np.errstate(over="ignore", divide="ignore"):
             kelvin = self.b / np.log(self.r1 / np.maximum(above_zero, 0.0) + self.f)
@@ -130,7 +130,7 @@ class PlanckCalibration:
 
 @dataclass(frozen=True)
 class ObjectParameters:
-    """What the camera was told about the object and what lies between: FLIR's object parameters.
+    """FLIR's object parameters: what the camera was told about the object, the air and a window in between.
 
     Attributes:
         emissivity: of the object, above 0 and at most 1.
@@ -215,7 +215,7 @@ class PlanckRadiometry:
         return p.emissivity * path, float(offset)
 
     def celsius(self, counts: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Temperature of the object, any shape; −273.15 °C where the signal is less than what is reflected and emitted on the way."""
+        """Temperature of the object, any shape. It is −273.15 °C where the signal is less than what the way to the object gives."""
         gain, offset = self._gain_offset
         return self.calibration.blackbody_celsius((counts.astype(np.float64) - offset) / gain).astype(np.float32)
 
@@ -257,26 +257,30 @@ class LinearRange:
 
     @property
     def width(self) -> float:
+        """`hi − lo`."""
         return self.hi - self.lo
 
     def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """°C (or counts) of any shape to units of the range."""
         return ((values.astype(np.float64) - self.lo) / (self.hi - self.lo)).astype(np.float32)
 
     def expand(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Units of the range to °C (or counts): the inverse of `normalise`."""
         return (values.astype(np.float64) * (self.hi - self.lo) + self.lo).astype(np.float32)
 
     @property
     def linear(self) -> LinearRange:
-        """The same in what adds up where images mix: here, the values themselves."""
+        """The same range in the quantity that adds up where images mix: here, the values themselves."""
         return self
 
 
 @dataclass(frozen=True)
 class PlanckRange:
-    """A normalisation in which mixtures are right: 0 and 1 stand for two signals of a black body, linear in radiance, and not in °C.
+    """A normalisation that is linear in radiance and not in °C: 0 and 1 stand for two signals of a black body.
 
-    Has `LinearRange`'s functions, from °C and to °C. The sensor's own signal is affine in this one, with the same two numbers for all
-    pixels (`PlanckRadiometry`), so what is composited in the one is composited in the other.
+    Radiance adds up where a pixel mixes several surfaces, and temperature does not. The sensor's own signal is affine in these units,
+    with the same two numbers for all pixels (`PlanckRadiometry`), so images composited in these units are right for the sensor too.
+    The functions are those of `LinearRange`, from °C and to °C.
     """
 
     calibration: PlanckCalibration
@@ -285,28 +289,31 @@ class PlanckRange:
 
     @staticmethod
     def of(calibration: PlanckCalibration, span: LinearRange) -> PlanckRange:
-        """From `span.lo` to `span.hi` °C."""
+        """The range whose 0 is the signal at `span.lo` °C, and whose 1 is that at `span.hi` °C."""
         lo, hi = (float(calibration.blackbody_signal(t)) for t in (span.lo, span.hi))
         return PlanckRange(calibration, lo, hi)
 
     @property
     def lo(self) -> float:
-        """°C; −273.15 where no temperature gives so little."""
+        """What 0 stands for, in °C; −273.15 where no temperature gives so small a signal."""
         return float(self.calibration.blackbody_celsius(self.lo_signal))
 
     @property
     def hi(self) -> float:
+        """What 1 stands for, in °C."""
         return float(self.calibration.blackbody_celsius(self.hi_signal))
 
     @property
     def linear(self) -> LinearRange:
-        """The signals."""
+        """The same range in the signals, which add up where images mix."""
         return LinearRange(self.lo_signal, self.hi_signal)
 
     def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """°C of any shape to units of the range."""
         return self.linear.normalise(self.calibration.blackbody_signal(values))
 
     def expand(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Units of the range to °C: the inverse of `normalise`."""
         signal = values.astype(np.float64) * (self.hi_signal - self.lo_signal) + self.lo_signal
         return self.calibration.blackbody_celsius(signal).astype(np.float32)
 

@@ -34,6 +34,7 @@ class Scene:
 
     @property
     def rig(self) -> Rig:
+        """The undistorted cameras."""
         return self.capture.rig
 
     @cached_property
@@ -62,6 +63,7 @@ class Scene:
         return tuple(f for f in self.frames if f.name in self._held_out_names)
 
     def rgb_from_world(self, name: str) -> SE3:
+        """The inverse of a frame's `world_from_rgb`."""
         return self.world_from_rgb[name].inverse()
 
     @cached_property
@@ -99,6 +101,7 @@ class Scene:
         return self.world_from_rgb_at_thermal(name) @ self.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre)
 
     def thermal_from_world(self, name: str, sfm_per_metre: float) -> SE3:
+        """The inverse of `world_from_thermal`."""
         return self.world_from_thermal(name, sfm_per_metre).inverse()
 
     @cached_property

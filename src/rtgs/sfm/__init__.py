@@ -1,1 +1,1 @@
-"""Stage: RGB poses and sparse points."""
+"""The stage structure from motion: RGB poses and sparse points of a capture."""

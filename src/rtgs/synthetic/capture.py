@@ -59,6 +59,7 @@ class GroundTruth:
     gains: dict[str, float]
 
     def to_json(self) -> dict[str, Any]:
+        """The content of `ground_truth.json`."""
         return {
             "scene": self.config.scene,
             "seed": self.config.seed,
@@ -145,6 +146,7 @@ def compiled_scene(name: SceneName) -> CompiledModel:
 
 
 def frame_names(config: SynthConfig) -> list[str]:
+    """`frame_000`, `frame_001`, …"""
     return [f"frame_{i:0{max(3, len(str(config.frames - 1)))}d}" for i in range(config.frames)]
 
 

@@ -125,12 +125,12 @@ def lathe(profile: ArrayLike, segments: int = 32, smooth: bool = False, step_m: 
 
 
 def cylinder(radius: float, height: float, segments: int = 24) -> Mesh:
-    """Closed, about z from 0 to `height`."""
+    """A closed cylinder about the z axis, from z = 0 to `height`."""
     return lathe([(0, 0), (radius, 0), (radius, height), (0, height)], segments)
 
 
 def sphere(radius: float, segments: int = 40) -> Mesh:
-    """About the origin."""
+    """A sphere about the origin."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
 
     def surface(u: Floats, v: Floats) -> Floats:
@@ -141,7 +141,7 @@ def sphere(radius: float, segments: int = 40) -> Mesh:
 
 
 def torus(ring_radius: float, tube_radius: float, segments: int = 40, around: int = 10) -> Mesh:
-    """About z, centred on the origin."""
+    """A ring about the z axis, centred on the origin."""
 
     def surface(u: Floats, v: Floats) -> Floats:
         a, b = 2 * np.pi * u, 2 * np.pi * v

@@ -104,13 +104,14 @@ class Model:
 
 @dataclass
 class Builder:
-    """Collects parts: `add(material, mesh, …)` in the order they are thought of."""
+    """Collects the parts of a scene."""
 
     parts: list[Part] = field(default_factory=list)
 
     def add(
         self, material: Material, meshes: Mesh | Sequence[Mesh], colour: Colour = (0.7, 0.7, 0.7), base_c: float = 22.0
     ) -> None:
+        """Add a part: a shape, or several of one material, with its colour and its temperature in °C."""
         mesh = meshes if isinstance(meshes, Mesh) else merged(meshes)
         self.parts.append(Part(mesh, material, colour, base_c))
 

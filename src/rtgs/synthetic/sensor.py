@@ -33,5 +33,5 @@ def contrast_gains(config: SynthConfig) -> NDArray[np.float64]:
 
 
 def noise_rng(config: SynthConfig, frame: int) -> np.random.Generator:
-    """Of one thermal image's noise."""
+    """The random numbers of one thermal image's noise."""
     return rig_rng(config, "noise", frame)

@@ -1,1 +1,1 @@
-"""Cameras whose files can be imported: one module a maker."""
+"""Import of radiometric files: one module for each maker of cameras, behind one protocol."""

@@ -125,6 +125,11 @@ class _Reader:
     pictures: dict[str, Path] | None
 
     def read(self, path: Path) -> Pair:
+        """Read and check one frame.
+
+        Raises:
+            RtgsError: unreadable, without a visible picture, or with pixels that no temperature gives.
+        """
         shot, name = self.format.read(path), self.format.frame_name(path)
         file = self._given(path, name) or self.format.visible_partner(path)
         visible = shot.visible if file is None else _visible_file(file, self.format.visible_focal_px(file))
