@@ -28,9 +28,9 @@ from rtgs.experiments.variants import Variant
 from rtgs.maths.geometry import axis_angle_from_rotation
 from rtgs.records.rig import CalibrationStd, Rig
 from rtgs.scale import ScaleEstimate, estimate_scale
-from rtgs.scale.calibration import freedoms
-from rtgs.scale.records import Counter
+from rtgs.scale.problem import Problem
 from rtgs.scale.refine import refine
+from rtgs.scale.rig_motion import motions
 from rtgs.synthetic.rig import true_rig
 
 
@@ -65,8 +65,9 @@ def true_values(written: Rig, true: Rig) -> dict[str, float]:
     ta, tb = written.rgb_from_thermal.translation, true.rgb_from_thermal.translation
     turn = np.degrees(axis_angle_from_rotation(written.rgb_from_thermal.rotation.T @ true.rgb_from_thermal.rotation))
     sides = []
-    for change, _ in freedoms(written, CalibrationStd())[3:5]:
-        side = change(written, 1e-4).rgb_from_thermal.translation - change(written, -1e-4).rgb_from_thermal.translation
+    for motion in motions(written, ["baseline-direction"]):
+        ends = [motion.apply(written, amount).rgb_from_thermal.translation for amount in (1e-4, -1e-4)]
+        side = ends[0] - ends[1]
         sides.append(side / np.linalg.norm(side))
     tips = [100 * float(side @ tb) / float(ta @ tb / np.linalg.norm(ta)) for side in sides]
     found = {f"rotation about {axis}": float(a) for axis, a in zip("xyz", turn, strict=True)}
@@ -89,7 +90,7 @@ def run_trial(trial: Trial, row: Row, seed: int, clean: list[np.ndarray]) -> dic
             estimate = plain = estimate_scale(scene, trial.model, ScaleConfig())
         else:  # from where the first ended, as `estimate_scale` does itself when it is told to refine
             config = ScaleConfig(refine=row.refine)
-            estimate = refine(scene, trial.model, config, scene.train_frames, plain, Counter(None), widest=math.inf)
+            estimate = refine(Problem.of(scene, trial.model, config), plain, widest=math.inf)
         found[kind] = {
             "error_pct": 100 * (estimate.sfm_per_metre / truth - 1),
             "product_error_pct": 100 * (estimate.sfm_per_metre * product / truth - 1),

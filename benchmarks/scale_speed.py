@@ -17,11 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, ScaleConfig
+from rtgs.config import ScaleConfig
 from rtgs.io.capture import load_capture
+from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.run.pipeline import RunFolder
 from rtgs.scale import Objective, estimate_scale
-from rtgs.scale.adam import adam
+from rtgs.scale.adam import descend_by_adam
 
 STEPS, TIMED = 200, 3
 
@@ -45,19 +46,13 @@ def main() -> None:
     path, config = folder.read_config()
     scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
     frames = scene.train_frames
-    objective = Objective(
-        scene,
-        model.gaussians,
-        model.background,
-        model.settings,
-        frames,
-        level_weights=PAPER_LEVEL_WEIGHTS,
-        epsilon=PAPER_EPSILON,
-    )
+    objective = Objective(scene, model, frames, EdgeLoss())
     found = estimate_scale(scene, model)
     theta = math.log(1.1 * found.sfm_per_metre)
     ours = seconds(lambda: estimate_scale(scene, model), o.repeats)
-    forward = seconds(lambda: adam(objective, theta, ScaleConfig(solver="adam", steps=TIMED)), o.repeats) * STEPS / TIMED
+    forward = (
+        seconds(lambda: descend_by_adam(objective, theta, ScaleConfig(solver="adam", steps=TIMED)), o.repeats) * STEPS / TIMED
+    )
     few = range(min(5, len(frames)))
     reverse = seconds(lambda: [objective.loss_and_slope_in_reverse(i, theta) for i in few], o.repeats)
     reverse *= STEPS * len(frames) / len(few)

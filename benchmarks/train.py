@@ -121,7 +121,7 @@ def find_scale(name: str, seed: int, scene: rtgs.Scene, out: Path) -> float:
 
         estimate = rtgs.estimate_scale(scene, model, ScaleConfig(), progress=progress)
         print(file=sys.stderr)
-        write_json(path, estimate.to_json())
+        write_json(path, estimate)
     return float(json.loads(path.read_text(encoding="utf-8"))["sfm_per_metre"])
 
 

@@ -48,12 +48,16 @@ def summary() -> CaptureSummary:
     )
 
 
+def numbers(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(values.tolist())
+
+
 def estimate() -> ScaleEstimate:
     """By a solver that keeps its steps, from a scan with one minimum."""
     s = np.geomspace(0.3, 20.0, 40)
     curve = 0.93 - 0.2 * np.exp(-((np.log(s / SFM_PER_METRE) / 0.25) ** 2))
     rng = np.random.default_rng(0)
-    per_frame = {n: (curve + 0.02 * rng.standard_normal(40)).tolist() for n in HELD_OUT}
+    per_frame = {n: numbers(curve + 0.02 * rng.standard_normal(40)) for n in HELD_OUT}
     step = np.arange(60)
     path = SFM_PER_METRE * np.exp(0.5 * np.exp(-step / 12) * np.cos(step / 6))
     return ScaleEstimate(
@@ -66,10 +70,10 @@ def estimate() -> ScaleEstimate:
         init=1.0,
         bracket=(0.3, 20.0),
         baseline_m=0.2,
-        frames=HELD_OUT,
-        scan=Scan(s.tolist(), curve.tolist(), (0.004 + 0 * s).tolist(), per_frame),
-        local=Scan([], [], [], {}),
-        history=History(step.tolist(), path.tolist(), (0.9 - 0.003 * step).tolist(), (0.1 - 0.001 * step).tolist()),
+        frames=tuple(HELD_OUT),
+        scan=Scan(numbers(s), numbers(curve), numbers(0.004 + 0 * s), per_frame),
+        local=Scan((), (), (), {}),
+        history=History(tuple(range(60)), numbers(path), numbers(0.9 - 0.003 * step), numbers(0.1 - 0.001 * step)),
     )
 
 

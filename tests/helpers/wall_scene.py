@@ -87,7 +87,7 @@ def wall_scene() -> tuple[Scene, RgbModel]:
 
 
 def estimate(sfm_per_metre: float) -> ScaleEstimate:
-    local, history = Scan([], [], [], {}), History([], [], [], [])
+    local, history = Scan((), (), (), {}), History()
     return ScaleEstimate(
-        sfm_per_metre, 0.01, (0.39, 0.41), "ok", "", "global", 1.0, (0.1, 1.0), RIG.baseline_m, [], None, local, history
+        sfm_per_metre, 0.01, (0.39, 0.41), "ok", "", "global", 1.0, (0.1, 1.0), RIG.baseline_m, (), None, local, history
     )

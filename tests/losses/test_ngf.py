@@ -1,31 +1,19 @@
-"""The normalised gradient field loss: Sobel and Eqs. 5–7 against plain loops, and the laws the paper wants of it."""
+"""The normalised gradient field loss as one writes it down: Eqs. 5–7 against plain loops."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
+from tests.helpers.textures import holes, ramp, textured
 from torch import Tensor
 
 from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
-from rtgs.images.filters import downsample, downsample_mask, erode_for_sobel, sobel, to_gray
+from rtgs.images.filters import downsample, sobel
+from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.losses.ngf import NgfPyramid, ngf_loss, normalized_gradient
-
-
-def textured(height: int = 24, width: int = 31, seed: int = 0) -> Tensor:
-    """Float64 noise, smoothed: a gradient everywhere, of every direction."""
-    noise = np.random.default_rng(seed).normal(size=(height, width))
-    smooth = ndimage.gaussian_filter(noise, 1.5)
-    return torch.from_numpy((smooth - smooth.min()) / np.ptp(smooth))
-
-
-def ramp(height: int, width: int, direction: tuple[float, float]) -> Tensor:
-    y, x = torch.meshgrid(torch.arange(height).double(), torch.arange(width).double(), indexing="ij")
-    return (direction[0] * x + direction[1] * y) / 50.0
 
 
 def naive_ngf(a: Tensor, b: Tensor, epsilon: float, mask: Tensor | None = None) -> float:
@@ -46,59 +34,9 @@ def naive_ngf(a: Tensor, b: Tensor, epsilon: float, mask: Tensor | None = None) 
     return float(np.mean(terms))
 
 
-def test_sobel_equals_opencv_and_scipy() -> None:
-    image = textured()
-    gx, gy = sobel(image)
-    inner = (slice(1, -1), slice(1, -1))
-    for gradient, order, axis in ((gx, (1, 0), 1), (gy, (0, 1), 0)):
-        np.testing.assert_allclose(gradient, cv2.Sobel(image.numpy(), cv2.CV_64F, *order)[inner], atol=1e-12)
-        np.testing.assert_allclose(gradient, ndimage.sobel(image.numpy(), axis=axis)[inner], atol=1e-12)
-
-
-def test_smoothed_otherwise_it_is_scharrs_or_a_central_difference() -> None:
-    image = textured()
-    inner = (slice(1, -1), slice(1, -1))
-    gx, gy = sobel(image, (0.75, 2.5))
-    for gradient, order in ((gx, (1, 0)), (gy, (0, 1))):
-        np.testing.assert_allclose(4 * gradient, cv2.Scharr(image.numpy(), cv2.CV_64F, *order)[inner], atol=1e-12)
-    gx, gy = sobel(image, (0.0, 4.0))
-    torch.testing.assert_close(gx, 4 * (image[1:-1, 2:] - image[1:-1, :-2]))
-    torch.testing.assert_close(gy, 4 * (image[2:, 1:-1] - image[:-2, 1:-1]))
-
-
-def test_sobel_of_a_ramp_is_eight_times_its_slope() -> None:
-    gx, gy = sobel(ramp(9, 7, (3.0, -2.0)))
-    torch.testing.assert_close(gx, torch.full((7, 5), 8 * 3.0 / 50, dtype=torch.float64))
-    torch.testing.assert_close(gy, torch.full((7, 5), -8 * 2.0 / 50, dtype=torch.float64))
-
-
-def test_gray_is_bt601() -> None:
-    rgb = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(0))
-    expected = cv2.cvtColor(rgb.numpy(), cv2.COLOR_RGB2GRAY)
-    np.testing.assert_allclose(to_gray(rgb), expected, atol=1e-6)
-
-
-def test_downsample_is_the_block_mean_without_the_rest() -> None:
-    image = textured(23, 30)
-    expected = [[image[y * 4 : y * 4 + 4, x * 4 : x * 4 + 4].mean() for x in range(7)] for y in range(5)]
-    torch.testing.assert_close(downsample(image, 4), torch.tensor(expected))
-    assert downsample(torch.rand(8, 6, 3), 2).shape == (4, 3, 3)
-    assert downsample(image, 1) is image
-
-
-def test_masks_keep_only_whole_blocks_and_whole_neighbourhoods() -> None:
-    mask = torch.ones(9, 12, dtype=torch.bool)
-    mask[4, 7] = False
-    expected = torch.ones(4, 6, dtype=torch.bool)
-    expected[2, 3] = False
-    assert torch.equal(downsample_mask(mask, 2), expected)
-    eroded = torch.from_numpy(ndimage.binary_erosion(mask.numpy(), np.ones((3, 3)), border_value=1))
-    assert torch.equal(erode_for_sobel(mask), eroded[1:-1, 1:-1])
-
-
 @pytest.mark.parametrize("epsilon", [PAPER_EPSILON, 0.3])
 def test_normalised_gradient_is_shorter_than_one(epsilon: float) -> None:
-    image = textured()
+    image = textured(24, 31)
     n = normalized_gradient(image, epsilon)
     gx, gy = sobel(image)
     length = torch.hypot(gx, gy)
@@ -112,7 +50,7 @@ def test_normalised_gradient_is_shorter_than_one(epsilon: float) -> None:
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("epsilon", [PAPER_EPSILON, 0.2])
 def test_loss_equals_a_loop_over_pixels(epsilon: float, masked: bool) -> None:
-    a, b = textured(seed=1), textured(seed=2)
+    a, b = textured(24, 31, seed=1), textured(24, 31, seed=2)
     mask = torch.rand(a.shape, generator=torch.Generator().manual_seed(0)) > 0.05 if masked else None
     expected = naive_ngf(a, b, epsilon, mask)
     assert 0.1 < expected < 0.95
@@ -122,14 +60,14 @@ def test_loss_equals_a_loop_over_pixels(epsilon: float, masked: bool) -> None:
 
 
 def test_the_same_image_costs_nothing() -> None:
-    image = textured()
+    image = textured(24, 31)
     assert ngf_loss(image, image).item() < 1e-6
     assert NgfPyramid.of(image)(image).item() < 1e-6
 
 
 @pytest.mark.parametrize("change", [lambda x: 1.0 - x, lambda x: 0.3 * x + 0.5, lambda x: -7.0 * x])
 def test_inversion_and_affine_changes_cost_nothing(change: Callable[[Tensor], Tensor]) -> None:
-    a, b = textured(seed=1), textured(seed=2)
+    a, b = textured(24, 31, seed=1), textured(24, 31, seed=2)
     assert ngf_loss(change(b), b).item() < 1e-6
     # Gradients of this image are above 1e-3 nearly everywhere, a thousand times the paper's ε.
     assert ngf_loss(change(a), b).item() == pytest.approx(ngf_loss(a, b).item(), abs=1e-5)
@@ -143,7 +81,7 @@ def test_a_featureless_render_scores_exactly_one(level: float, dtype: torch.dtyp
     assert ngf_loss(blank, image).item() == 1.0
     assert ngf_loss(image, blank).item() == 1.0
     assert NgfPyramid.of(image)(blank).item() == 1.0
-    assert NgfPyramid.of(image, level_weights=(1.0, 0.3, 0.7, 0.1))(blank).item() == 1.0
+    assert NgfPyramid.of(image, settings=EdgeLoss((1.0, 0.3, 0.7, 0.1)))(blank).item() == 1.0
 
 
 def test_a_blank_render_gives_a_finite_gradient() -> None:
@@ -182,7 +120,7 @@ def test_masked_pixels_of_the_render_are_not_looked_at() -> None:
 
 
 def test_nothing_left_by_the_mask_scores_one() -> None:
-    image, nothing = textured(), torch.zeros(24, 31, dtype=torch.bool)
+    image, nothing = textured(24, 31), torch.zeros(24, 31, dtype=torch.bool)
     assert ngf_loss(image, image, mask=nothing).item() == 1.0
     assert NgfPyramid.of(image, nothing)(image).item() == 1.0
 
@@ -193,10 +131,10 @@ def test_pyramid_is_the_weighted_mean_of_its_levels() -> None:
     levels = [naive_ngf(downsample(a, f), downsample(b, f), PAPER_EPSILON) for f in (1, 2, 4)]
     assert max(levels) - min(levels) > 0.01  # another order of the weights would show
     assert NgfPyramid.of(b)(a).item() == pytest.approx((levels[0] + 0.5 * levels[1] + 0.25 * levels[2]) / 1.75, abs=1e-9)
-    other = NgfPyramid.of(b, level_weights=(0.2, 3.0), epsilon=0.1)(a).item()
+    other = NgfPyramid.of(b, settings=EdgeLoss((0.2, 3.0), epsilon=0.1))(a).item()
     levels = [naive_ngf(downsample(a, f), downsample(b, f), 0.1) for f in (1, 2)]
     assert other == pytest.approx((0.2 * levels[0] + 3.0 * levels[1]) / 3.2, abs=1e-12)
-    assert NgfPyramid.of(b, level_weights=(5.0,))(a).item() == pytest.approx(ngf_loss(a, b).item(), abs=1e-12)
+    assert NgfPyramid.of(b, settings=EdgeLoss((5.0,)))(a).item() == pytest.approx(ngf_loss(a, b).item(), abs=1e-12)
 
 
 def test_gradient_equals_finite_differences() -> None:
@@ -205,6 +143,18 @@ def test_gradient_equals_finite_differences() -> None:
     a, b = textured(12, 13, seed=1), textured(12, 13, seed=2)
     mask = torch.ones(12, 13, dtype=torch.bool)
     mask[5, 6] = False
-    pyramid = NgfPyramid.of(b, mask, level_weights=(1.0, 0.5), epsilon=0.1)
+    pyramid = NgfPyramid.of(b, mask, EdgeLoss((1.0, 0.5), epsilon=0.1))
     assert torch.autograd.gradcheck(pyramid, a.requires_grad_())
     assert torch.autograd.gradcheck(lambda x: ngf_loss(x, b, epsilon=0.1, mask=mask), a)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("epsilon", [PAPER_EPSILON, 0.2, (0.01, 0.1, 0.4)])
+def test_the_residuals_squared_norm_is_eq_7(epsilon: float | tuple[float, ...], masked: bool) -> None:
+    target = NgfPyramid.of(textured(seed=1), holes() if masked else None, EdgeLoss(epsilon=epsilon, render_epsilon=0.2))
+    render = textured(seed=2)
+    residuals = target.residuals(render)
+    assert residuals.square().sum().item() == pytest.approx(target(render).item(), abs=1e-12)
+    assert target(render).item() > 0.1
+    blank = torch.full_like(render, 0.4)
+    assert target.residuals(blank).square().sum().item() == pytest.approx(1.0, abs=1e-12)

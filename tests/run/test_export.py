@@ -80,8 +80,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder.write_scene(scene, SFM_PER_METRE)
     folder.write_scale(
         ScaleEstimate(
-            SFM_PER_METRE, 0.01, (2.4, 2.6), "ok", "", "adam", 2.0, (0.1, 30.0), BASELINE_M, ["frame_001"], None,
-            Scan([2.5], [0.1], [0.0], {"frame_001": [0.1]}), History([], [], [], []),
+            SFM_PER_METRE, 0.01, (2.4, 2.6), "ok", "", "adam", 2.0, (0.1, 30.0), BASELINE_M, ("frame_001",), None,
+            Scan((2.5,), (0.1,), (0.0,), {"frame_001": (0.1,)}), History(),
         )
     )  # fmt: skip
     settings = RenderSettings(near_plane=0.1)

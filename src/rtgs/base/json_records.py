@@ -17,9 +17,14 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> Any:
-    """A record, mapping, sequence, array or path as what JSON has."""
+    """A record, mapping, sequence, array or path as what JSON has.
+
+    A record may name properties in a class variable `JSON_PROPERTIES`. They are written after its fields, for other programs to read;
+    `from_json` leaves them out, since they follow from the fields.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: to_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        names = [*(f.name for f in dataclasses.fields(value)), *_properties(type(value))]
+        return {name: to_json(getattr(value, name)) for name in names}
     if isinstance(value, Mapping):
         return {str(k): to_json(v) for k, v in value.items()}
     if hasattr(value, "tolist"):  # an array; NumPy is not imported here, which the command line waits for
@@ -44,6 +49,7 @@ def from_json(cls: type[T], data: Any, where: str) -> T:
         raise RtgsError(f"{where}: {cls.__name__} is {data!r:.100}; a JSON object is expected.")
     hints = typing.get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    data = {name: value for name, value in data.items() if name not in _properties(cls)}
     unknown = sorted(set(data) - set(fields))
     if unknown:
         raise RtgsError(f"{where}: unknown field {unknown[0]!r} of {cls.__name__}; it was written by another version.")
@@ -83,6 +89,10 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if (value not in arguments) if origin is Literal else (type(value) is not (str if hint is Path else hint)):
         raise TypeError
     return Path(value) if hint is Path else value
+
+
+def _properties(cls: type) -> Sequence[str]:
+    return getattr(cls, "JSON_PROPERTIES", ())
 
 
 def _list(value: Any) -> list[Any]:

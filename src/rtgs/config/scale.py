@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -44,6 +45,10 @@ class ScaleConfig:
     """Order of mini-batches, and the bootstrap."""
 
     def __post_init__(self) -> None:
+        if self.init is not None and not (self.init > 0 and math.isfinite(self.init)):
+            raise RtgsError(f"scale: init is {self.init}; sfm_per_metre is a positive number.")
+        if self.batch is not None and self.batch < 1:
+            raise RtgsError(f"scale: batch is {self.batch}; it is a number of frames, or left out for all of them.")
         if self.solver not in ("global", "adam"):
             raise RtgsError(f"scale.solver is {self.solver!r}; it is global or adam.")
         names = {name for part in self.refine for name in part.split(",")} - {""}  # "a,b" is as good as "a b"

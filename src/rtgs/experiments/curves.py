@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
 from rtgs.experiments.rivals import ImageLoss, Rival
-from rtgs.scale import History, Objective
-from rtgs.scale.adam import adam
+from rtgs.scale import Objective
+from rtgs.scale.adam import AdamPath, descend_by_adam
 
 _SETTLED = 2e-5  # in θ
 _MOST_ROUNDS = 6
@@ -123,19 +123,17 @@ class _Mean:
         return (1.0 - share) * self.mean(left) + share * self.mean(right)
 
 
-def replay(
-    curves: Curves, key: str, theta: float, config: ScaleConfig, frames: Sequence[int] | None = None
-) -> tuple[float, History]:
-    """Adam (`rtgs.scale.adam`, full batches) from θ: what it would have come to, had it rendered at every step.
+def replay(curves: Curves, key: str, theta: float, config: ScaleConfig, frames: Sequence[int] | None = None) -> AdamPath:
+    """Adam (`rtgs.scale.adam.descend_by_adam`, full batches) from θ: where it would have gone, had it rendered at every step.
 
     Args:
         frames: indices; all when None.
     """
     mean, before = _Mean(curves, key, frames), math.inf
     for _ in range(_MOST_ROUNDS):
-        found, history = adam(mean, theta, config)
-        if not curves.rival(key).smooth or abs(found - before) < _SETTLED:
+        path = descend_by_adam(mean, theta, config)
+        if not curves.rival(key).smooth or abs(path.theta - before) < _SETTLED:
             break
-        before = found
-        mean.mean(math.exp(found))
-    return found, history
+        before = path.theta
+        mean.mean(math.exp(path.theta))
+    return path

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtgs.base.json_records import to_json
 from rtgs.base.progress import Progress
-from rtgs.config import PAPER_EPSILON, ScaleConfig, SceneName, SynthConfig, SyntheticExperimentConfig, SyntheticTable
+from rtgs.config import ScaleConfig, SceneName, SynthConfig, SyntheticExperimentConfig, SyntheticTable
 from rtgs.experiments.ablation import ABLATION
 from rtgs.experiments.curves import Curves, replay
 from rtgs.experiments.records import ExperimentFolder, Record
@@ -25,12 +25,13 @@ from rtgs.experiments.rivals import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, O
 from rtgs.experiments.scenery import Trial, prepare
 from rtgs.experiments.tables import RUN, write_tables
 from rtgs.experiments.variants import FAR, FAR_SCENE, ROWS, Variant, groups
+from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
 from rtgs.scale import Objective, ScaleEstimate
-from rtgs.scale.adam import adam
+from rtgs.scale.adam import descend_by_adam
 from rtgs.scale.bracket import flow_per_unit
-from rtgs.scale.objective import thermal_range
+from rtgs.scale.objective import scaled_thermal
 
 PAPER = ScaleConfig(solver="adam")  # 200 steps at 5e-3, all frames
 WIDEST_PIXEL = 0.03  # of s: what stands for a pixel of flow where s hardly flows
@@ -186,15 +187,15 @@ def _by_run(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
     """Adam, rendering at every step."""
     objective = MUTUAL_INFORMATION.objective(_pictures(trial, scene), normalised_thermal(scene), scene.capture.thermal_mask)
     started = time.process_time()
-    theta, history = adam(objective, math.log(trial.start), PAPER)
+    path = descend_by_adam(objective, math.log(trial.start), PAPER)
     seconds = time.process_time() - started
     return _record(
         trial,
         task,
         variant,
         RUN,
-        math.exp(theta),
-        iterations=_iterations(history.sfm_per_metre),
+        math.exp(path.theta),
+        iterations=_iterations(path.history.sfm_per_metre),
         renders=PAPER.steps * len(objective.frames),
         seconds=seconds,
     )
@@ -202,15 +203,7 @@ def _by_run(trial: Trial, task: Task, variant: Variant, scene: Scene) -> Record:
 
 def _pictures(trial: Trial, scene: Scene) -> Objective:
     """What descents render: of all training frames."""
-    return Objective(
-        scene,
-        trial.model.gaussians,
-        trial.model.background,
-        trial.model.settings,
-        scene.train_frames,
-        level_weights=PAPER.level_weights,
-        epsilon=PAPER_EPSILON,
-    )
+    return Objective(scene, trial.model, scene.train_frames, EdgeLoss())
 
 
 def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Sequence[tuple[Variant, Rival]]) -> Iterator[Record]:
@@ -223,7 +216,7 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
     rig = replace(rig, rgb_from_thermal=rig.rgb_from_thermal.with_baseline_scaled(1.0 / factor))
     scene = replace(first, capture=replace(first.capture, rig=rig))
     frames = scene.train_frames
-    flow = flow_per_unit(scene, trial.model.gaussians, trial.model.settings)
+    flow = flow_per_unit(scene, trial.model)
     pixel = min(1.0 / float(np.percentile(flow, 90)), WIDEST_PIXEL * trial.truth)
     thermal = {v.key: normalised_thermal(scenes[v.key]) for v, _ in descents}
     mask = scene.capture.thermal_mask
@@ -232,15 +225,15 @@ def _by_replay(trial: Trial, task: Task, scenes: dict[str, Scene], descents: Seq
     for variant, rival in descents:
         chosen = None if variant.frames is None else [frames.index(f) for f in _chosen(scene, variant)]
         key, factor = f"{variant.key}.{rival.key}", variant.length_factor
-        theta, history = replay(curves, key, math.log(trial.start * factor), PAPER, chosen)
+        path = replay(curves, key, math.log(trial.start * factor), PAPER, chosen)
         renders = PAPER.steps * (len(frames) if chosen is None else len(chosen))
         yield _record(
             trial,
             task,
             variant,
             rival.key,
-            math.exp(theta) / factor,
-            iterations=_iterations(history.sfm_per_metre),
+            math.exp(path.theta) / factor,
+            iterations=_iterations(path.history.sfm_per_metre),
             renders=renders,
             seconds=renders * curves.seconds_each(key),
         )
@@ -268,8 +261,7 @@ def _reduced(scene: Scene, variant: Variant) -> Scene:
 
 def normalised_thermal(scene: Scene) -> dict[str, NDArray[np.float32]]:
     """Thermal images of the training frames in [0, 1], over their common range."""
-    lo, hi = thermal_range([f.thermal[scene.capture.thermal_mask] for f in scene.train_frames], 0.0)
-    return {f.name: ((f.thermal - lo) / (hi - lo)).astype(np.float32) for f in scene.train_frames}
+    return scaled_thermal({f.name: f.thermal for f in scene.train_frames}, scene.capture.thermal_mask)
 
 
 def _iterations(path: Sequence[float]) -> int:

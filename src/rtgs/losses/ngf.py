@@ -9,18 +9,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from rtgs.config import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS
+from rtgs.config import PAPER_EPSILON
 from rtgs.images.filters import SOBEL, downsample, downsample_mask, erode_for_sobel, sobel
+from rtgs.losses.edge_loss import EdgeLoss, Products
 
+PAPER_LOSS = EdgeLoss()
 LEAST_STRENGTH = 1e-6
-"""Of a render's edges in the loss per edge: one without any costs 1, as in Eq. 6."""
+"""Least strength of a render's edges that the loss per edge divides by. So a render without edges costs 1, as in Eq. 6."""
 
 
 def normalized_gradient(image: Tensor, epsilon: float = PAPER_EPSILON, across: tuple[float, float] = SOBEL) -> Tensor:
-    """Eq. 5: ∇I / √(‖∇I‖² + ε²) of `[H, W]`, as `[2, H − 2, W − 2]`; `across` as in `image.sobel`."""
+    """Eq. 5: ∇I / √(‖∇I‖² + ε²) of `[H, W]`, as `[2, H − 2, W − 2]`; `across` as in `rtgs.images.filters.sobel`."""
     gx, gy = sobel(image, across)
     # hypot-free: ε² underflows float32 only below 1e-19, far under any ε in use.
     inverse = torch.rsqrt(gx * gx + gy * gy + epsilon * epsilon)
@@ -67,48 +70,29 @@ class _Level:
 
 @dataclass(frozen=True, eq=False)
 class NgfPyramid:
-    """Eq. 7 against one fixed image, whose gradients are computed once.
+    """Eq. 7 against one fixed image, whose gradients are computed once, in PyTorch: the specification.
 
-    Build with `NgfPyramid.of`; call with a render `[H, W]`.
+    Build it with `NgfPyramid.of`. Called with a render `[H, W]` it gives the loss as a tensor, which autograd can differentiate.
     """
 
     levels: tuple[_Level, ...]
-    level_weights: tuple[float, ...]
-    render_epsilons: tuple[float, ...]
-    per_edge: bool = False
-    across: tuple[float, float] = SOBEL
+    settings: EdgeLoss
 
     @staticmethod
-    def of(
-        image: Tensor,
-        mask: Tensor | None = None,
-        *,
-        level_weights: tuple[float, ...] = PAPER_LEVEL_WEIGHTS,
-        epsilon: float | tuple[float, ...] = PAPER_EPSILON,
-        render_epsilon: float | tuple[float, ...] | None = None,
-        per_edge: bool = False,
-        across: tuple[float, float] = SOBEL,
-    ) -> NgfPyramid:
+    def of(image: Tensor, mask: Tensor | None = None, settings: EdgeLoss = PAPER_LOSS) -> NgfPyramid:
         """Prepare the target.
 
         Args:
             image: `[H, W]`.
-            mask: `[H, W]` bool, pixels where the loss counts. It belongs to the image, so it does not follow the scale.
-            level_weights: w_l, level 0 the finest; one level makes the single-scale loss.
-            epsilon: ε of Eq. 5, one for all levels or one a level. render_epsilon: the render's, where it is not the image's.
-            per_edge: ℓ = 1 − mean (n_A · n_B)² / rms ‖n_A‖. With an ε as large as edges are, Eq. 6 falls wherever the render has more
-                or stronger edges, as it has from nearer by; over their own strength they have to agree for it.
-            across: as in `image.sobel`.
+            mask: `[H, W]` bool, pixels where the loss counts; None: all. It belongs to the image, so it does not follow the scale.
         """
         if mask is None:
             mask = torch.ones_like(image, dtype=torch.bool)
-        count = len(level_weights)
-        own = (epsilon,) * count if isinstance(epsilon, float) else epsilon
-        other = (
-            own if render_epsilon is None else (render_epsilon,) * count if isinstance(render_epsilon, float) else render_epsilon
+        levels = tuple(
+            _Level.of(downsample(image, 2**l), epsilon, downsample_mask(mask, 2**l), settings.across)
+            for l, epsilon in zip(range(len(settings.level_weights)), settings.epsilons, strict=True)
         )
-        levels = tuple(_Level.of(downsample(image, 2**l), own[l], downsample_mask(mask, 2**l), across) for l in range(count))
-        return NgfPyramid(levels, level_weights, other, per_edge, across)
+        return NgfPyramid(levels, settings)
 
     def to(self, dtype: torch.dtype) -> NgfPyramid:
         """The same target in another floating type."""
@@ -118,23 +102,39 @@ class NgfPyramid:
     def __call__(self, render: Tensor) -> Tensor:
         """Σ_l w_l ℓ_NGF(D_l A, D_l B) / Σ_l w_l for a render A `[H, W]`."""
         total = torch.zeros((), dtype=render.dtype)
-        for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
-            gradient = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l], self.across)
-            total = total + weight * level.loss(gradient, self.per_edge)
-        return total / sum(self.level_weights)
+        for l, level in enumerate(self.levels):
+            total = total + self.settings.level_weights[l] * level.loss(self._gradient(render, l), self.settings.per_edge)
+        return total / sum(self.settings.level_weights)
+
+    def loss(self, picture: Tensor) -> float:
+        """As `EdgeTarget.loss`."""
+        return float(self(picture))
+
+    def products(self, picture: Tensor, tangents: Tensor) -> Products:
+        """As `EdgeTarget.products`: the slope is the loss's own, the matrix that of `residuals`."""
+        losses, slopes, changes = [], [], []
+        for tangent in tangents:
+            loss, slope = torch.func.jvp(self, (picture,), (tangent,))  # type: ignore[misc]
+            _, change = torch.func.jvp(self.residuals, (picture,), (tangent,))  # type: ignore[misc]
+            losses.append(loss)
+            slopes.append(float(slope))
+            changes.append(change)
+        jacobian = torch.stack(changes)
+        return Products(float(losses[0]), np.array(slopes), (2.0 * jacobian @ jacobian.T).numpy().astype(np.float64))
 
     def residuals(self, render: Tensor) -> Tensor:
         """`[M]`: the vector whose squared norm is Eq. 7; what Gauss–Newton works on.
 
-        Two numbers a pixel and level, n_A × n_B and √(1 − ‖n_A‖²‖n_B‖²): their squares sum to 1 − (n_A · n_B)² (Lagrange's identity).
-        The cross product alone would be zero for a blank render. Per edge, a level's are over the root of its rms ‖n_A‖, which counts
-        as constant: their squared norm is no longer the loss, their Gauss–Newton matrix still its curvature where edges stay what they are.
+        There are two numbers a pixel and level, n_A × n_B and √(1 − ‖n_A‖²‖n_B‖²). Their squares sum to 1 − (n_A · n_B)² (Lagrange's
+        identity). The cross product alone would be zero for a blank render. Per edge, the residuals of a level are divided by the root
+        of its rms ‖n_A‖, which counts as constant. Their squared norm is then no longer the loss, but their Gauss–Newton matrix is
+        still its curvature where the edges stay what they are.
         """
         parts = []
-        for l, (level, weight) in enumerate(zip(self.levels, self.level_weights, strict=True)):
-            n, m = normalized_gradient(downsample(render, 2**l), self.render_epsilons[l], self.across), level.gradient
-            share = math.sqrt(weight / sum(self.level_weights) / max(level.pixels, 1))
-            scale = level.strength(n).detach().rsqrt() if self.per_edge else 1.0
+        for l, level in enumerate(self.levels):
+            n, m = self._gradient(render, l), level.gradient
+            share = math.sqrt(self.settings.level_weights[l] / sum(self.settings.level_weights) / max(level.pixels, 1))
+            scale = level.strength(n).detach().rsqrt() if self.settings.per_edge else 1.0
             if not level.pixels:  # costs 1 whatever the render
                 parts.append(torch.full((1,), share, dtype=render.dtype))
                 continue
@@ -142,3 +142,6 @@ class NgfPyramid:
             rest = (1.0 - n.square().sum(0) * m.square().sum(0))[level.valid].clamp_min(0.0)
             parts += [share * scale * cross, share * scale * rest.sqrt()]
         return torch.cat(parts)
+
+    def _gradient(self, render: Tensor, level: int) -> Tensor:
+        return normalized_gradient(downsample(render, 2**level), self.settings.render_epsilons[level], self.settings.across)

@@ -1,15 +1,15 @@
 """Eq. 7 with its derivatives along tangent pictures, in one fused pass on the CPU.
 
-`losses.NgfPyramid` is the specification; these Numba kernels (float32, sums over rows in float64) are tested against it. A scale is
-found by thousands of evaluations of the loss along *one* direction, so the gradient by the picture is never formed: the Sobel filters
-run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once.
+`rtgs.losses.ngf.NgfPyramid` is the specification. These Numba kernels (float32, sums over rows in float64) are tested against it. A
+scale is found by thousands of evaluations of the loss along *one* direction, so the gradient by the picture is never formed: the Sobel
+filters run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once.
 
 **Letters.** g = ∇A, h = ∇Ȧ, q = 1/(‖g‖² + ε²), n = g·√q, m = n_B. With p = g·h: ṅ = √q·(h − g·p·q). The residual pair of
 `NgfPyramid.residuals` is c = n × m and e = √(1 − ‖n‖²‖m‖²), and with u = 1 − ‖n‖² = ε²·q and v = 1 − ‖m‖², without cancellation,
 
     e² = u + v − u·v,    ė = −‖m‖²·p·q·u / e.
 
-Per edge, a level's N = Σ (n · m)² is over the root mean square of ‖n‖, whose square's derivative is 2·Σ n · ṅ = 2·Σ p·q·u.
+Per edge, a level's N = Σ (n · m)² is divided by the root mean square of ‖n‖; the derivative of Σ ‖n‖² is 2·Σ n · ṅ = 2·Σ p·q·u.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
+from torch import Tensor
 
+from rtgs.losses.edge_loss import EdgeLoss, Products
 from rtgs.losses.ngf import LEAST_STRENGTH, NgfPyramid
 
 F = np.float32
@@ -27,25 +29,13 @@ _BAND = 16  # rows a thread takes at a time
 _LEAST_E2 = F(1e-20)
 
 
-@dataclass(frozen=True)
-class Products:
-    """A loss and its derivatives along K tangents: `loss`, `slope` `[K]`, and the Gauss–Newton matrix 2·JᵀJ `[K, K]`."""
-
-    loss: float
-    slope: NDArray[np.float64]
-    curvature: NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
 class FusedNgf:
-    """Eq. 7 against one fixed image, for float32 pictures. Build with `FusedNgf.of`."""
+    """Eq. 7 against one fixed image, for float32 pictures on the CPU. Build it with `FusedNgf.of`."""
 
     targets: tuple[NDArray[np.float32], ...]  # [4, h, w] a level: m, v, and 1 where valid
     pixels: tuple[int, ...]  # valid ones; at least 1
-    shares: tuple[float, ...]  # w_l / Σ w
-    epsilons: tuple[float, ...]
-    per_edge: bool
-    across: tuple[float, float]
+    settings: EdgeLoss
 
     @staticmethod
     def of(pyramid: NgfPyramid) -> FusedNgf:
@@ -55,40 +45,46 @@ class FusedNgf:
             m = level.gradient
             planes = [m[0], m[1], 1.0 - m.square().sum(0), level.valid]
             targets.append(np.stack([t.numpy() for t in planes]).astype(np.float32))
-        total = sum(pyramid.level_weights)
-        pixels = tuple(max(level.pixels, 1) for level in pyramid.levels)
-        shares = tuple(weight / total for weight in pyramid.level_weights)
-        return FusedNgf(tuple(targets), pixels, shares, pyramid.render_epsilons, pyramid.per_edge, pyramid.across)
+        return FusedNgf(tuple(targets), tuple(max(level.pixels, 1) for level in pyramid.levels), pyramid.settings)
 
-    def loss(self, image: NDArray[np.float32]) -> float:
-        """Eq. 7 of `[H, W]` float32."""
-        agreement = 0.0
+    def loss(self, picture: Tensor) -> float:
+        """As `EdgeTarget.loss`, of `[H, W]` float32."""
+        agreement, image = 0.0, picture.numpy()
         for level, target in enumerate(self.targets):
             image = image if level == 0 else _halved(image[None])[0]
-            found, square = (
-                _agreement(image, target, F(self.epsilons[level] ** 2), *map(F, self.across)).sum(axis=0) / self.pixels[level]
-            )
-            agreement += self.shares[level] * found / self._strength(square)
+            found, square = _agreement(image, target, *self._numbers(level)).sum(axis=0) / self.pixels[level]
+            agreement += self._share(level) * found / self._strength(square)
         return float(1.0 - agreement)
 
-    def products(self, image: NDArray[np.float32], tangents: NDArray[np.float32]) -> Products:
-        """Eq. 7 of `[H, W]` with its derivatives along the tangents `[K, H, W]`; per edge, the matrix is `NgfPyramid.residuals`'."""
-        stack = np.concatenate([image[None], tangents])
+    def products(self, picture: Tensor, tangents: Tensor) -> Products:
+        """As `EdgeTarget.products`, of `[H, W]` and `[K, H, W]` float32."""
+        stack = np.concatenate([picture.numpy()[None], tangents.numpy()])
         k = len(tangents)
         agreement, slope, matrix = 0.0, np.zeros(k), np.zeros(k * k)
         for level, target in enumerate(self.targets):
             stack = stack if level == 0 else _halved(stack)
-            sums = _products(stack, target, F(self.epsilons[level] ** 2), *map(F, self.across)).sum(axis=0) / self.pixels[level]
+            sums = _products(stack, target, *self._numbers(level)).sum(axis=0) / self.pixels[level]
             found, square, rates, changes, squares = sums[0], sums[1], sums[2 : 2 + k], sums[2 + k : 2 + 2 * k], sums[2 + 2 * k :]
             strength = self._strength(square)
-            share = self.shares[level] / strength
+            share = self._share(level) / strength
+            varies = self.settings.per_edge and strength > LEAST_STRENGTH
             agreement += share * found
-            slope += share * (rates - 0.5 * found / square * changes if self.per_edge and strength > LEAST_STRENGTH else rates)
+            slope += share * (rates - 0.5 * found / square * changes if varies else rates)
             matrix += share * squares
         return Products(float(1.0 - agreement), -2.0 * slope, 2.0 * matrix.reshape(k, k))
 
+    def _numbers(self, level: int) -> tuple[np.float32, np.float32, np.float32]:
+        """ε² of the render and the derivative filter, as the kernels take them."""
+        beside, middle = self.settings.across
+        return F(self.settings.render_epsilons[level] ** 2), F(beside), F(middle)
+
+    def _share(self, level: int) -> float:
+        """w_l / Σ w."""
+        return self.settings.level_weights[level] / sum(self.settings.level_weights)
+
     def _strength(self, square: float) -> float:
-        return max(float(np.sqrt(square)), LEAST_STRENGTH) if self.per_edge else 1.0
+        """What a level's agreement is divided by, from its mean ‖n_A‖²."""
+        return max(float(np.sqrt(square)), LEAST_STRENGTH) if self.settings.per_edge else 1.0
 
 
 # --- kernels ---

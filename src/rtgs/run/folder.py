@@ -16,7 +16,7 @@ from PIL import Image
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import recover, write_whole
-from rtgs.base.json_records import from_json, read_run_json, to_json, write_json
+from rtgs.base.json_records import from_json, read_record, read_run_json, to_json, write_json
 from rtgs.config import RunConfig
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.io.image_files import IMAGE_SUFFIXES
@@ -191,10 +191,10 @@ class RunFolder:
         )
 
     def write_scale(self, estimate: ScaleEstimate) -> None:
-        self.write_json("scale.json", estimate.to_json())
+        self.write_json("scale.json", estimate)
 
     def read_scale(self) -> ScaleEstimate:
-        return ScaleEstimate.from_json(self.read_json("scale.json"))
+        return read_record(ScaleEstimate, self.path / "scale.json")
 
     def write_json(self, name: str, data: Any) -> None:
         """Whole or not at all."""

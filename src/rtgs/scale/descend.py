@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.scale.objective import Objective
-from rtgs.scale.records import Counter, History
+from rtgs.scale.objective import Evaluation
+from rtgs.scale.records import Step
 
 _MOST_STEPS = 12
+
+
+class Evaluable(Protocol):
+    """Per-frame losses with slope and curvature by θ, such as `Objective`."""
+
+    def evaluate(self, index: int, theta: float) -> Evaluation: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,39 +44,51 @@ class Place:
         return float(self.slopes.mean())
 
 
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent ended, and all places it evaluated. renders: how many pictures that took."""
+
+    place: Place
+    steps: tuple[Step, ...]
+    renders: int
+
+
 def descend(
-    objective: Objective,
+    objective: Evaluable,
     indices: Sequence[int],
     theta: float,
     *,
     pixel: float,
     tolerance: float,
-    counter: Counter,
-    history: History,
-) -> Place:
+    told: Callable[[str], None] | None = None,
+) -> Descent:
     """Go down the mean loss of some frames from θ.
 
-    The first step is Gauss–Newton's, but no shorter than half a pixel: its curvature is that of the residuals alone, far too large where
-    the two modalities disagree (a hundredfold on a noisy sensor), so that the step would be nothing and pass for arrival. From the
-    second step on the slopes' own change takes its place. A step is taken only where it lowers the loss (Eq. 7 of the pictures
-    compared); else it is cut to where the two slopes, or half the way, put the minimum.
+    The first step is Gauss–Newton's, but no shorter than half a pixel. Its curvature is that of the residuals alone, which is far too
+    large where the two modalities disagree (a hundredfold on a noisy sensor): the step would be nothing and pass for arrival. From the
+    second step on the change of the slopes takes its place. A step is taken only where it lowers the loss (Eq. 7 of the pictures
+    compared). Otherwise it is cut to where the two slopes put the minimum, or to half its length.
 
     Args:
         pixel: change of θ that moves the picture by a pixel, the longest step. tolerance: a step shorter than this is the last.
+        told: called with a line of text for every picture.
     """
+    steps: list[Step] = []
 
     def evaluate(at: float) -> Place:
         found = []
         for i in indices:
             found.append(objective.evaluate(i, at))
-            counter(f"s = {np.exp(at):.5g}")
+            if told is not None:
+                told(f"s = {math.exp(at):.5g}")
         losses, slopes, curvatures = (np.array([getattr(e, k) for e in found]) for k in ("loss", "slope", "curvature"))
-        history.add(at, float(losses.mean()), float(slopes.mean()))
-        return Place(at, losses, slopes, float(curvatures.mean()))
+        place = Place(at, losses, slopes, float(curvatures.mean()))
+        steps.append(Step(at, place.loss, place.slope))
+        return place
 
     here = evaluate(theta)
     if here.slope == 0.0 or not here.curvature > 0.0:
-        return here
+        return Descent(here, tuple(steps), len(steps) * len(indices))
     curvature = min(here.curvature, abs(here.slope) / (0.5 * pixel))
     for _ in range(_MOST_STEPS):
         step = float(np.clip(-here.slope / curvature, -pixel, pixel))
@@ -85,4 +105,4 @@ def descend(
         curvature = change if change > 0 else abs(here.slope) / pixel
         if abs(step) <= tolerance or here.slope == 0.0:
             break
-    return replace(here, curvature=curvature)
+    return Descent(replace(here, curvature=curvature), tuple(steps), len(steps) * len(indices))

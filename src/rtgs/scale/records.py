@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,49 +19,60 @@ Status = Literal["ok", "ambiguous", "unobservable"]
 
 @dataclass(frozen=True)
 class Scan:
-    """The loss over the bracket.
+    """The loss at a series of scales.
 
     Attributes:
         sfm_per_metre: `[S]`, rising. loss: `[S]`, mean over frames.
-        std_error: `[S]`, standard error over frames of the loss *above the minimum's* (paired: frames differ in level, which says
-            nothing about s).
+        std_error: `[S]`, standard error over frames of the loss *above the minimum's*. The difference is taken frame by frame: frames
+            differ in the level of their loss, which says nothing about s.
         per_frame: frame name → `[S]`.
     """
 
-    sfm_per_metre: list[float]
-    loss: list[float]
-    std_error: list[float]
-    per_frame: dict[str, list[float]]
+    sfm_per_metre: tuple[float, ...]
+    loss: tuple[float, ...]
+    std_error: tuple[float, ...]
+    per_frame: dict[str, tuple[float, ...]]
 
     @staticmethod
     def of(thetas: NDArray[np.float64], curves: NDArray[np.float64], names: Sequence[str]) -> Scan:
-        """From ln s `[S]` and per-frame losses `[F, S]`."""
+        """From ln s `[S]`, the frames' losses `[F, S]` and their names."""
         mean = curves.mean(axis=0)
         above = curves - curves[:, [int(np.argmin(mean))]]
         error = above.std(axis=0, ddof=1) / math.sqrt(len(curves)) if len(curves) > 1 else np.zeros_like(mean)
-        per_frame = {n: c.tolist() for n, c in zip(names, curves, strict=True)}
-        return Scan(np.exp(thetas).tolist(), mean.tolist(), error.tolist(), per_frame)
+        per_frame = {name: tuple(curve.tolist()) for name, curve in zip(names, curves, strict=True)}
+        return Scan(tuple(np.exp(thetas).tolist()), tuple(mean.tolist()), tuple(error.tolist()), per_frame)
+
+
+class Step(NamedTuple):
+    """One evaluation of a solver: θ = ln s, the mean loss of the frames it used, and dL/dθ there."""
+
+    theta: float
+    loss: float
+    slope: float
 
 
 @dataclass(frozen=True)
 class History:
-    """One entry a step: the scale before it, the loss and dL/d ln s there."""
+    """The steps of a solver in their order: the scale, the loss and dL/d ln s at each."""
 
-    step: list[int]
-    sfm_per_metre: list[float]
-    loss: list[float]
-    slope: list[float]
+    step: tuple[int, ...] = ()
+    sfm_per_metre: tuple[float, ...] = ()
+    loss: tuple[float, ...] = ()
+    slope: tuple[float, ...] = ()
 
-    def add(self, theta: float, loss: float, slope: float) -> None:
-        self.step.append(len(self.step))
-        self.sfm_per_metre.append(math.exp(theta))
-        self.loss.append(loss)
-        self.slope.append(slope)
+    @staticmethod
+    def of(steps: Sequence[Step]) -> History:
+        return History(
+            tuple(range(len(steps))),
+            tuple(math.exp(s.theta) for s in steps),
+            tuple(s.loss for s in steps),
+            tuple(s.slope for s in steps),
+        )
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Another scale at which the edges meet.
+    """Another scale at which the loss has a minimum.
 
     Attributes:
         loss_above: how much its loss lies above the answer's, mean over frames.
@@ -90,32 +101,36 @@ class Freedom:
     decided: bool
 
 
+Matrix = tuple[tuple[float, ...], ...]
+
+
 @dataclass(frozen=True)
 class Refinement:
     """The rig as refined, which later stages use in place of the one in `rig.json`.
 
     Attributes:
         before: `sfm_per_metre` with the rig as `rig.json` says.
-        freedoms: posterior of each. correlation: `[1 + K, 1 + K]` of ln s and the freedoms, in this order.
+        freedoms: posterior of each refined number. correlation: `[1 + K, 1 + K]` of ln s and the freedoms, in this order.
         rgb_from_thermal: `[4, 4]`, metres. fl_x, fl_y: of the undistorted thermal images. time_offset: `Rig.time_offset`.
     """
 
     before: float
-    freedoms: list[Freedom]
-    correlation: list[list[float]]
-    rgb_from_thermal: list[list[float]]
+    freedoms: tuple[Freedom, ...]
+    correlation: Matrix
+    rgb_from_thermal: Matrix
     fl_x: float
     fl_y: float
     time_offset: float
 
     @staticmethod
-    def of(before: float, freedoms: list[Freedom], covariance: NDArray[np.float64], rig: Rig) -> Refinement:
+    def of(before: float, freedoms: Sequence[Freedom], covariance: NDArray[np.float64], rig: Rig) -> Refinement:
+        """From the scale before, the posteriors, the covariance `[1 + K, 1 + K]` of ln s and the freedoms, and the refined rig."""
         std = np.sqrt(np.diag(covariance))
         return Refinement(
             before,
-            freedoms,
-            (covariance / np.outer(std, std)).tolist(),
-            rig.rgb_from_thermal.matrix().tolist(),
+            tuple(freedoms),
+            _matrix(covariance / np.outer(std, std)),
+            _matrix(rig.rgb_from_thermal.matrix()),
             rig.thermal.fl_x,
             rig.thermal.fl_y,
             rig.time_offset,
@@ -123,6 +138,7 @@ class Refinement:
 
     @property
     def undecided(self) -> list[str]:
+        """Names of what the images do not decide."""
         return [f.name for f in self.freedoms if not f.decided]
 
     def apply(self, scene: Scene) -> Scene:
@@ -132,14 +148,14 @@ class Refinement:
         rig = replace(scene.rig, thermal=thermal, rgb_from_thermal=pose, time_offset=self.time_offset)
         return replace(scene, capture=replace(scene.capture, rig=rig))
 
-    @staticmethod
-    def from_json(data: dict[str, Any]) -> Refinement:
-        return Refinement(**{**data, "freedoms": [Freedom(**f) for f in data["freedoms"]]})
+
+def _matrix(values: NDArray[np.float64]) -> Matrix:
+    return tuple(tuple(row) for row in values.tolist())
 
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """What `scale.json` holds.
+    """What `scale.json` holds (through `rtgs.base.json_records`, with `metres_per_sfm` added).
 
     Attributes:
         sfm_per_metre: SfM units per metre (the paper's s).
@@ -147,16 +163,20 @@ class ScaleEstimate:
             None with a single frame, or where the global search finds nothing to observe.
         ci95: 95 % interval of `sfm_per_metre`; None likewise.
         status, reason: "ok", "ambiguous" (another scale fits as well) or "unobservable" (the images do not decide); why, in words.
-        init: where the refinement started. bracket: scales the images can tell apart.
-        baseline_m: |t| of the rig. frames: those whose curves decide.
-        local: the loss close to the answer; what the interval is taken from.
-        minima: other minima of the scan, refined, best first.
+        solver: its name in `ScaleConfig.solver`. init: where it started.
+        bracket: scales that the images can tell apart.
+        baseline_m: |t| of the rig. frames: those whose curves the answer and its interval are taken from.
+        scan: the loss over the bracket; None where a start was given. local: the loss close to the answer; what the interval is taken
+            from. history: the solver's steps.
+        minima: other minima, best first.
         disagreeing: frames that place their own minimum far from the answer.
         calibration_std_log: share of `std_log` that is the calibration's; None when `rig.json` does not state any.
-        renders: how many pictures were drawn.
+        renders: how many pictures were rendered.
         blur_px: by how much thermal images were found softer than renders: standard deviation of a Gaussian, in thermal pixels.
         refinement: the calibration, where it was refined with the scale; `refined_scene` has it.
     """
+
+    JSON_PROPERTIES: ClassVar[tuple[str, ...]] = ("metres_per_sfm",)
 
     sfm_per_metre: float
     std_log: float | None
@@ -167,12 +187,12 @@ class ScaleEstimate:
     init: float
     bracket: tuple[float, float]
     baseline_m: float
-    frames: list[str]
+    frames: tuple[str, ...]
     scan: Scan | None
     local: Scan
     history: History
-    minima: list[Minimum] = field(default_factory=list)
-    disagreeing: list[str] = field(default_factory=list)
+    minima: tuple[Minimum, ...] = ()
+    disagreeing: tuple[str, ...] = ()
     calibration_std_log: float | None = None
     renders: int = 0
     blur_px: float = 0.0
@@ -185,33 +205,3 @@ class ScaleEstimate:
     def refined_scene(self, scene: Scene) -> Scene:
         """The scene whose rig belongs to this scale: as refined, or as it is where nothing was."""
         return scene if self.refinement is None else self.refinement.apply(scene)
-
-    def to_json(self) -> dict[str, Any]:
-        return {**asdict(self), "metres_per_sfm": self.metres_per_sfm}
-
-    @staticmethod
-    def from_json(data: dict[str, Any]) -> ScaleEstimate:
-        values = {k: v for k, v in data.items() if k != "metres_per_sfm"}
-        values["bracket"] = tuple(data["bracket"])
-        values["ci95"] = tuple(data["ci95"]) if data["ci95"] else None
-        values["scan"] = Scan(**data["scan"]) if data["scan"] else None
-        values["local"] = Scan(**data["local"])
-        values["history"] = History(**data["history"])
-        values["minima"] = [Minimum(**m) for m in data.get("minima", [])]
-        values["refinement"] = Refinement.from_json(data["refinement"]) if data.get("refinement") else None
-        return ScaleEstimate(**values)
-
-
-class Counter:
-    """Counts renders for a progress bar. `plan` says how many are still to come, as far as is known."""
-
-    def __init__(self, progress: Any) -> None:
-        self.done, self.total, self.progress = 0, 0, progress
-
-    def plan(self, remaining: int) -> None:
-        self.total = self.done + remaining
-
-    def __call__(self, text: str) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, max(self.total, self.done), text)

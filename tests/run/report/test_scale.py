@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from tests.helpers.made_up_run import HELD_OUT, SFM_PER_METRE, estimate, make_run, page_of
+from tests.helpers.scale_scenes import RIG
 
 from rtgs.run.folder import RunFolder
 from rtgs.scale.records import Freedom, Minimum, Refinement, Scan
@@ -30,14 +31,14 @@ def test_a_solver_with_steps_shows_them(tmp_path: Path) -> None:
 
 def test_a_search_shows_its_minima_its_frames_and_the_curve_beside_the_answer(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
-    s = [SFM_PER_METRE * f for f in (0.98, 0.99, 1.0, 1.01, 1.02)]
-    curves = {n: [0.9 + k * 0.01, 0.88, 0.87, 0.88, 0.9] for k, n in enumerate(HELD_OUT)}
+    s = tuple(SFM_PER_METRE * f for f in (0.98, 0.99, 1.0, 1.01, 1.02))
+    curves = {n: (0.9 + k * 0.01, 0.88, 0.87, 0.88, 0.9) for k, n in enumerate(HELD_OUT)}
     found = replace(
         estimate(),
         solver="global",
-        minima=[Minimum(sfm_per_metre=7.125, loss_above=0.01, chance=0.12)],
-        disagreeing=["frame_<9>"],
-        local=Scan(s, [0.9, 0.88, 0.87, 0.88, 0.9], [0.0] * 5, curves),
+        minima=(Minimum(sfm_per_metre=7.125, loss_above=0.01, chance=0.12),),
+        disagreeing=("frame_<9>",),
+        local=Scan(s, (0.9, 0.88, 0.87, 0.88, 0.9), (0.0,) * 5, curves),
         blur_px=2.8,
     )
     RunFolder(run).write_scale(found)
@@ -54,7 +55,7 @@ def test_what_was_refined_stands_in_a_table(tmp_path: Path) -> None:
         Freedom("thermal <focal>", "%", mean=-1.25, std=0.3, prior_std=2.0, decided=True),
         Freedom("time offset", "frame intervals", mean=0.01, std=0.28, prior_std=0.2887, decided=False),
     ]
-    refinement = Refinement(1.2345, freedoms, np.eye(3).tolist(), np.eye(4).tolist(), 500.0, 500.0, 0.01)
+    refinement = Refinement.of(1.2345, freedoms, np.eye(3), RIG)
     RunFolder(run).write_scale(replace(estimate(), refinement=refinement))
     page = page_of(run)
     assert "thermal <focal> 0 ± 2 % −1.250 ± 0.300 % yes" in page.text  # escaped, and its cells in order

@@ -50,7 +50,7 @@ class Rival:
 
 
 class RivalObjective:
-    """Per-frame losses and slopes by θ; what `rtgs.scale.adam` descends."""
+    """Per-frame losses and slopes by θ; what `rtgs.scale.adam.descend_by_adam` descends."""
 
     def __init__(self, pictures: Objective, losses: Sequence[ImageLoss]) -> None:
         self.frames = pictures.frames

@@ -53,7 +53,7 @@ class Contents:
             settings=config[1] if config else None,
             version=_optional(run / "config.json", _version),
             summary=_optional(run / "capture_summary.json", lambda path: read_record(CaptureSummary, path)),
-            scale=_optional(run / "scale.json", _scale),
+            scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
             decisions=_optional(run / "thermal.json", _decisions) or (),
         )
@@ -92,14 +92,6 @@ def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
 def _version(path: Path) -> str | None:
     version = read_run_json(path).get("version")
     return None if version is None else str(version)
-
-
-def _scale(path: Path) -> ScaleEstimate:
-    data = read_run_json(path)
-    try:
-        return ScaleEstimate.from_json(data)
-    except (AttributeError, KeyError, TypeError) as error:
-        raise RtgsError(f"{path}: not a scale estimate of this version ({error!r}); remove it and run again.") from error
 
 
 def _decisions(path: Path) -> tuple[Decision, ...]:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3
@@ -16,14 +15,15 @@ from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import Direction
 from rtgs.scale.objective import Objective
-from rtgs.scale.records import Counter
-from rtgs.scale.unknowns import Unknown
+from rtgs.scale.progress import RenderProgress
+from rtgs.scale.rig_motion import RigMotion, scale_direction
 
 Vector = NDArray[np.float64]
 
-_DIFFERENCE = 1e-4  # of a prior's standard deviation, for the poses' derivatives
+_DIFFERENCE = 1e-4  # of a prior's standard deviation, for the derivatives of poses
 _POINTS = 2000
 _STILL = 1e-3  # pixels per standard deviation: less does not count as motion
+_INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,38 +41,54 @@ class Point:
 
     @property
     def gradient(self) -> Vector:
+        """`[K]`: of the mean loss."""
         return self.gradients.mean(axis=0)
 
 
-class Joint:
-    """L(θ, u) of a scene's frames: u are the unknowns' amounts in standard deviations of their priors."""
+@dataclass(frozen=True, eq=False)
+class RigLoss:
+    """The loss over x = (θ, u), K numbers in all: θ = ln s, and u the amounts of the motions in standard deviations of their priors.
 
-    def __init__(self, scene: Scene, found: Sequence[Unknown], counter: Counter) -> None:
-        self.scene, self.unknowns, self.counter = scene, tuple(found), counter
-        self.size = 1 + len(found)
-        self.prior = np.diag([0.0, *np.ones(len(found))])  # P: precision; nothing is known about θ
+    Attributes:
+        scene: with the rig as calibrated, which u = 0 stands for. motions: K − 1 of them.
+    """
+
+    scene: Scene
+    motions: tuple[RigMotion, ...]
+    progress: RenderProgress
+
+    @property
+    def size(self) -> int:
+        """K."""
+        return 1 + len(self.motions)
+
+    @property
+    def prior(self) -> Vector:
+        """`[K, K]`: P, the prior's precision; nothing is known about θ."""
+        return np.diag([0.0, *np.ones(len(self.motions))])
 
     def rig(self, x: Vector) -> Rig:
+        """The rig at x; its scale is not in it."""
         rig = self.scene.rig
-        for unknown, u in zip(self.unknowns, x[1:], strict=True):
-            rig = unknown.change(rig, float(u) * unknown.std)
+        for motion, u in zip(self.motions, x[1:], strict=True):
+            rig = motion.apply(rig, float(u) * motion.std)
         return rig
 
     def scene_at(self, x: Vector) -> Scene:
+        """The scene with the rig at x."""
         return replace(self.scene, capture=replace(self.scene.capture, rig=self.rig(x)))
 
     def evaluate(self, objective: Objective, indices: Sequence[int], x: Vector) -> Point:
-        """One picture with its tangents a frame."""
+        """Loss, gradient and Gauss–Newton matrix of these frames: one picture with its tangents a frame."""
         here, s = self.scene_at(x), math.exp(x[0])
-        ends = [[self.scene_at(x + sign * _DIFFERENCE * e) for sign in (-1, 1)] for e in np.eye(self.size)]
-        scales = [[math.exp(x[0] + sign * _DIFFERENCE * e[0]) for sign in (-1, 1)] for e in np.eye(self.size)]
+        ends = [[self.scene_at(x + sign * _DIFFERENCE * e) for sign in (-1, 1)] for e in np.eye(self.size)[1:]]
         found = []
         for i in indices:
             name = objective.frames[i].name
             pose = here.thermal_from_world(name, s)
-            ways = [_way(pair, at, name, pose) for pair, at in zip(ends, scales, strict=True)]
-            found.append(objective.products_from(i, here.rig.thermal, pose, ways))
-            self.counter(f"joint refinement, s = {s:.5g}")
+            directions = [scale_direction(here.rig, x[0]), *(_direction(pair, name, s, pose) for pair in ends)]
+            found.append(objective.products(i, here.rig.thermal, pose, directions))
+            self.progress(f"calibration, s = {s:.5g}")
         return Point(
             x,
             np.array([p.loss for p in found]),
@@ -80,11 +96,20 @@ class Joint:
             np.mean([p.curvature for p in found], axis=0),
         )
 
+    def hessian(self, objective: Objective, indices: Sequence[int], x: Vector, steps: Vector) -> Vector:
+        """`[K, K]`: of the mean loss, by central differences of its gradient with these steps `[K]`. Renders 2·K pictures a frame."""
+        rows = []
+        for e, h in zip(np.eye(self.size), steps, strict=True):
+            after, before = (self.evaluate(objective, indices, x + sign * h * e).gradient for sign in (1, -1))
+            rows.append((after - before) / (2 * h))
+        matrix = np.array(rows)
+        return (matrix + matrix.T) / 2
+
     def pixels(self, x: Vector, gaussians: Gaussians) -> Vector:
         """`[K]`: how far the picture moves per unit of each of x, in thermal pixels (90th percentile over the model's points)."""
         names = [f.name for f in self.scene.train_frames]
         names = names[:: -(-len(names) // 6)]
-        means = gaussians.means.detach().to(torch.float64).cpu().numpy()
+        means = gaussians.means.detach().double().cpu().numpy()
         points = means[np.random.default_rng(0).permutation(len(means))[:_POINTS]]
         moved: list[list[Vector]] = [[] for _ in range(self.size)]
         for name in names:
@@ -96,22 +121,14 @@ class Joint:
         found = [float(np.nanpercentile(np.linalg.norm(np.concatenate(m), axis=1), 90)) for m in moved]
         return np.maximum(np.nan_to_num(found), _STILL)
 
-    def hessian(self, objective: Objective, indices: Sequence[int], x: Vector, steps: Vector) -> Vector:
-        """`[K, K]`: of the mean loss, by central differences of its gradient."""
-        rows = []
-        for e, h in zip(np.eye(self.size), steps, strict=True):
-            after, before = (self.evaluate(objective, indices, x + sign * h * e).gradient for sign in (1, -1))
-            rows.append((after - before) / (2 * h))
-        matrix = np.array(rows)
-        return (matrix + matrix.T) / 2
 
-
-def _way(ends: Sequence[Scene], scales: Sequence[float], name: str, pose: SE3) -> Direction:
-    before, after = (scene.thermal_from_world(name, s) for scene, s in zip(ends, scales, strict=True))
-    derivative = SE3(
-        (after.rotation - before.rotation) / (2 * _DIFFERENCE), (after.translation - before.translation) / (2 * _DIFFERENCE)
-    )
-    lens = {k: (getattr(ends[1].rig.thermal, k) - getattr(ends[0].rig.thermal, k)) / (2 * _DIFFERENCE) for k in ("fl_x", "fl_y")}
+def _direction(ends: Sequence[Scene], name: str, s: float, pose: SE3) -> Direction:
+    """How a frame's thermal camera changes with one of u, from the scenes a little below and above: pose and intrinsics."""
+    before, after = (scene.thermal_from_world(name, s) for scene in ends)
+    width = 2 * _DIFFERENCE
+    derivative = SE3((after.rotation - before.rotation) / width, (after.translation - before.translation) / width)
+    cameras = [scene.rig.thermal for scene in ends]
+    lens = {k: (getattr(cameras[1], k) - getattr(cameras[0], k)) / width for k in _INTRINSICS}
     return replace(Direction.between(derivative, pose), **lens)
 
 

@@ -1,0 +1,11 @@
+"""The solvers that `ScaleConfig.solver` names. Another one is a value with `solve(problem) -> Found`, in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rtgs.scale.adam import Adam
+from rtgs.scale.global_search import GlobalSearch
+from rtgs.scale.problem import Solver
+
+SOLVERS: Mapping[str, Solver] = {"global": GlobalSearch(), "adam": Adam()}

@@ -1,0 +1,28 @@
+"""What the covariance of a joint refinement says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtgs.scale.posterior import covariance, noise
+
+
+def test_the_covariance_is_that_of_repeated_experiments() -> None:
+    rng = np.random.default_rng(0)
+    root, h = rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
+    hessian, g, prior, weight = h @ h.T + np.eye(3), root @ root.T, np.diag([0.0, 1.0, 1.0]), 0.7
+    expected = covariance(hessian, g, prior, weight)
+    truth = rng.normal(size=(100_000, 3)) * [0, 1, 1]  # drawn from the prior; the first has none, and its place does not matter
+    slope = rng.normal(size=(100_000, 3)) @ root.T  # of the loss at the truth
+    # The minimum of the loss, quadratic about the truth, and the prior's term.
+    found = np.linalg.solve(hessian + weight * prior, (truth @ hessian - slope).T).T
+    np.testing.assert_allclose(np.cov((found - truth).T), expected, rtol=0.05, atol=0.02 * np.abs(expected).max())
+
+
+def test_noise_of_the_mean_gradient() -> None:
+    rng = np.random.default_rng(1)
+    alone = [noise(rng.normal(size=(500, 2)) * [1.0, 3.0]) * 500 for _ in range(40)]
+    np.testing.assert_allclose(np.mean(alone, axis=0), np.diag([1.0, 9.0]), atol=0.4)
+    runs = [noise(np.repeat(rng.normal(size=(250, 2)), 2, axis=0)) * 250 for _ in range(40)]  # neighbours err alike
+    np.testing.assert_allclose(np.mean(runs, axis=0), np.eye(2), atol=0.15)
+    assert (np.linalg.eigvalsh(noise(rng.normal(size=(5, 8)))) > -1e-12).all()  # fewer frames than unknowns
