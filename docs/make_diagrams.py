@@ -116,9 +116,7 @@ def rig() -> None:
     d.parts.append('<circle cx="150" cy="136" r="8" fill="currentColor"/><circle cx="370" cy="36" r="8" fill="currentColor"/>')
     d.text(136, 132, ["near edge"], anchor="end")
     d.text(388, 36, ["far edge"], anchor="start")
-    d.text(
-        350, 120, ["The direction to the near", "edge changes much with s,", "to the far edge hardly."], anchor="start", size=13
-    )
+    d.text(12, 40, ["The direction to the near edge", "changes much with s,", "to the far edge hardly."], anchor="start", size=14)
     d.text(235, 284, ["thermal camera at baseline direction × s × metres"], size=14)
     d.write("rig")
 
