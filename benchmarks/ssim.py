@@ -3,7 +3,7 @@ and the full 11 × 11 window that 3DGS-style training code uses.
 
     python benchmarks/ssim.py [--width 960 --height 540 --channels 3 --threads 1 --repeats 10]
 
-Prints milliseconds (median) for value and gradient, and the ratios.
+Prints a Markdown table of milliseconds (median) for value and gradient, and the ratios.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def main() -> None:
     fused = milliseconds(ssim, a, b, args.repeats)
     separable = milliseconds(reference_ssim, a, b, args.repeats)
     full = milliseconds(full_window_ssim, a, b, args.repeats)
-    print(f"{args.width}x{args.height}x{args.channels}, {args.threads} thread(s), value and gradient")
-    print(f"fused                  {fused:7.1f} ms")
-    print(f"torch, separable       {separable:7.1f} ms   {separable / fused:.1f}x")
-    print(f"torch, 11 x 11 window  {full:7.1f} ms   {full / fused:.1f}x")
+    print(f"{args.width} × {args.height} × {args.channels}, {args.threads} thread(s), value and gradient\n")
+    print("| | ms | times fused |\n|---|---:|---:|")
+    for name, value in (("fused", fused), ("torch, separable", separable), ("torch, 11 × 11 window", full)):
+        print(f"| {name} | {value:.1f} | {value / fused:.1f} |")
 
 
 if __name__ == "__main__":
