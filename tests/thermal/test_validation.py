@@ -6,6 +6,7 @@ import pytest
 import torch
 from tests.helpers.thermal_scenes import fit_of, ring
 
+from rtgs.records.capture import Split
 from rtgs.thermal.drift import DriftKind
 from rtgs.thermal.validation import EarlyStopping, Validation, is_clearly_less
 
@@ -53,6 +54,13 @@ def test_validation_frames_are_every_eighth() -> None:
     validation = Validation.of(fit_of(ring()[0], ring()[1]))
     assert list(validation.frames) == [4, 12, 20] and len(validation.others) == 25 and validation.surface is not None
     assert not set(validation.frames) & set(validation.others)
+
+
+def test_a_split_names_the_validation_frames() -> None:
+    fit = fit_of(ring()[0], ring()[1])
+    names = fit.data.names
+    validation = Validation.of(fit, Split(validation=frozenset({names[5], names[2], "elsewhere"})))
+    assert list(validation.frames) == [2, 5] and validation.surface is None
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def fit_linear(
         fit = Fit.of(design(every=every, kept_bytes=settings.kept_bytes), data, settings, passes)
 
         # Drift, pattern, gains and ridge, each decided on validation frames.
-        validation = Validation.of(fit)
+        validation = Validation.of(fit, scene.split)
         first = choices.first_solve(validation)
         kind, drift = choices.choose_drift(validation, first, config.drift)
         is_drifting = config.drift == "auto" and choices.looks_drifting(validation, first)

@@ -28,8 +28,6 @@ class LinearSettings:
     """The factor until one is chosen, and where there are too few frames to choose. It is the one most often chosen."""
 
     # Validation frames.
-    validate_every: int = 8
-    """One training frame in so many is a validation frame: the convention for held-out frames, applied once more."""
     fewest_frames: int = 3
     """Validation frames that are needed to decide about drift and the sensor's pattern: with fewer there is no standard error."""
 

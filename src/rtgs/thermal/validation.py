@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from rtgs.models.sensor import predicted_drift
+from rtgs.records.capture import Split
 from rtgs.thermal.drift import DriftKind, estimate_drift, in_gauge
 from rtgs.thermal.fit import Fit
 
@@ -32,10 +33,10 @@ class Validation:
     surface: Tensor | None = None
 
     @staticmethod
-    def of(fit: Fit) -> Validation:
-        """Every 8th frame, with the common surface (`Fit.surface`) where there are enough frames to decide about a pattern."""
-        every = fit.settings.validate_every
-        frames = range(every // 2, len(fit.data), every)
+    def of(fit: Fit, split: Split | None = None) -> Validation:
+        """The frames that a split names, with the common surface (`Fit.surface`) where they are enough to decide about a pattern."""
+        names = (split or Split()).validation_names(fit.data.names)
+        frames = [i for i, name in enumerate(fit.data.names) if name in names]
         return Validation(fit, frames, fit.surface() if len(frames) >= fit.settings.fewest_frames else None)
 
     @property
