@@ -17,8 +17,7 @@ from pathlib import Path
 
 from rtgs.experiments.ablation import ABLATION
 from rtgs.experiments.rivals import OURS
-from rtgs.io.capture import load_capture
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from scale_splits import halves, seen_by, told
 
 
@@ -28,8 +27,7 @@ def main() -> None:
     parser.add_argument("--splits", type=int, default=2, help="pairs of halves")
     o = parser.parse_args()
     folder = RunFolder(o.run)
-    path, config = folder.read_config()
-    scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
+    scene, model = folder.load_scene(), folder.read_rgb()
     train, first = scene.train_frames, None
     print("| changed | SfM units per metre | from the default, % | halves apart, % |\n|---|---:|---:|---:|")
     for method in (OURS, *ABLATION):

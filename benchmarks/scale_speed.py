@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from rtgs.config import ScaleConfig
-from rtgs.io.capture import load_capture
 from rtgs.losses.edge_loss import EdgeLoss
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from rtgs.scale import Objective, estimate_scale
 from rtgs.scale.adam import descend_by_adam
 
@@ -43,8 +42,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     o = parser.parse_args()
     folder = RunFolder(o.run)
-    path, config = folder.read_config()
-    scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
+    scene, model = folder.load_scene(), folder.read_rgb()
     frames = scene.train_frames
     objective = Objective(scene, model, frames, EdgeLoss())
     found = estimate_scale(scene, model)

@@ -19,10 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from rtgs.config import ScaleConfig
-from rtgs.io.capture import load_capture
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from rtgs.scale import ScaleEstimate, estimate_scale
 
 
@@ -55,8 +54,7 @@ def main() -> None:
     parser.add_argument("--refine", nargs="*", default=[])
     o = parser.parse_args()
     folder = RunFolder(o.run)
-    path, config = folder.read_config()
-    scene, model = folder.read_scene(load_capture(path, rgb_max_side=config.rgb_max_side)), folder.read_rgb()
+    scene, model = folder.load_scene(), folder.read_rgb()
     settings = ScaleConfig(refine=tuple(o.refine))
     train = scene.train_frames
     print(f"All {len(train)} training frames: {told(estimate_scale(scene, model, settings))}.\n", flush=True)

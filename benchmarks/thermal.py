@@ -32,7 +32,8 @@ from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
 from rtgs.rgb.train import fit_rgb
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.config_file import SavedRun
+from rtgs.run.folder import RunFolder
 from rtgs.sfm.poses import run_sfm
 from rtgs.synthetic import SCENES, write_capture
 from rtgs.thermal import fit_thermal
@@ -136,9 +137,8 @@ def report(problem: Problem, rates: list[float], steps: list[int]) -> None:
 
 def of_run(path: Path) -> Problem:
     folder = RunFolder(path)
-    capture_path, config = folder.read_config()
-    scene = folder.read_scene(load_capture(capture_path, rgb_max_side=config.rgb_max_side))
-    return Problem(path.name, scene, folder.read_rgb(), folder.read_scale().sfm_per_metre, truth_of(capture_path, scene))
+    scene = folder.load_scene()
+    return Problem(path.name, scene, folder.read_rgb(), folder.read_scale().sfm_per_metre, truth_of(scene))
 
 
 def of_synthetic(args: argparse.Namespace, out: Path) -> Problem:
@@ -153,16 +153,15 @@ def of_synthetic(args: argparse.Namespace, out: Path) -> Problem:
         write_capture(out / f"{name}-capture", config)
         scene = run_sfm(load_capture(out / f"{name}-capture"), SfmConfig())
         model = fit_rgb(scene, RgbConfig(steps=args.rgb_steps, densify=DensifyConfig(max_gaussians=args.gaussians)))
-        folder.write_config(out / f"{name}-capture", RunConfig())
+        folder.write_config(SavedRun(out / f"{name}-capture", RunConfig()))
         folder.write_scene(scene, config.sfm_per_metre)
         folder.write_rgb(model)
-    capture_path, _ = folder.read_config()
-    scene = folder.read_scene(load_capture(capture_path))
-    return Problem(name, scene, folder.read_rgb(), 2.0, truth_of(capture_path, scene))
+    scene = folder.load_scene()
+    return Problem(name, scene, folder.read_rgb(), 2.0, truth_of(scene))
 
 
-def truth_of(capture: Path, scene: Scene) -> Images:
-    clean = capture / "ground_truth" / "thermal_clean"
+def truth_of(scene: Scene) -> Images:
+    clean = scene.capture.root / "ground_truth" / "thermal_clean"
     return {f.name: np.asarray(Image.open(clean / f"{f.name}.tiff")) for f in scene.frames} if clean.is_dir() else {}
 
 

@@ -12,8 +12,7 @@ from tiny import run_or_tiny
 
 def main(run: Path) -> None:
     folder = RunFolder(run)
-    capture, config = folder.read_config()
-    scene = folder.read_scene(rtgs.load_capture(capture, rgb_max_side=config.rgb_max_side))
+    scene = folder.load_scene()
     thermal, scale = folder.read_thermal(), folder.read_scale()
     camera, pose = scene.rig.rgb, scene.rgb_from_world(scene.held_out_frames[0].name)
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import rtgs
 from rtgs.images.pictures import palette, save_png, to_picture
 from rtgs.maths.geometry import look_at
 from rtgs.run.folder import RunFolder
@@ -11,8 +10,7 @@ from tiny import run_or_tiny
 
 def main(run: Path) -> None:
     folder = RunFolder(run)
-    capture, config = folder.read_config()
-    scene = folder.read_scene(rtgs.load_capture(capture, rgb_max_side=config.rgb_max_side))
+    scene = folder.load_scene()
     rgb, thermal = folder.read_rgb(), folder.read_thermal()
 
     # Halfway between the first two cameras, looking at the middle of the model.

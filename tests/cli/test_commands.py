@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-import rtgs.cli
 from rtgs import __version__
-from rtgs.base.errors import RtgsError
+from rtgs.base.events import Event, ResultLine, WarningLine, WorkStarted, long_work, nobody
 from rtgs.cli import main
+from rtgs.cli.commands.demo import demonstrate
+from rtgs.cli.options import saved_settings
+from rtgs.cli.table import all_commands, experiment_commands
+from rtgs.cli.terminal import Terminal
 from rtgs.config import RunConfig, ScaleConfig, SynthConfig
-from rtgs.run.pipeline import Pipeline, RunFolder
+from rtgs.run.config_file import SavedRun, write_config
 
 ARGUMENTS = {
     "run": ["--out", "--rgb-max-side", "--rgb-ply", "--sfm.matching", "--rgb.steps", "--scale.init", "--thermal.steps"],
@@ -31,7 +34,7 @@ ARGUMENTS = {
     "demo": ["--out"],
     "experiment": ["synthetic"],
 }
-BENCHES = {
+EXPERIMENTS = {
     "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--rgb.quality", "--workers"],
     "real": ["PATH", "--out", "--manual.frames", "--depth-model", "--mast3r-weights", "--plane-m", "--region", "--thermal.drift"],
 }
@@ -70,18 +73,18 @@ def test_help_of_a_command_names_its_arguments(command: str, capsys: pytest.Capt
     assert "--config" not in text  # settings are flags without a prefix
 
 
-@pytest.mark.parametrize("command", BENCHES)
-def test_help_of_a_bench_names_its_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", EXPERIMENTS)
+def test_help_of_an_experiment_names_its_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of(["experiment", command, "--help"]) == 0
     text = capsys.readouterr().out
-    for argument in BENCHES[command]:
+    for argument in EXPERIMENTS[command]:
         assert argument in text, argument
     assert "(required)" in text and f"rtgs experiment {command}" in text
 
 
 def test_commands_are_those_tested() -> None:
-    assert set(rtgs.cli._commands(RunConfig())) == set(ARGUMENTS)
-    assert set(rtgs.cli._experiments()) == set(BENCHES)
+    assert set(all_commands(RunConfig(), nobody)) == set(ARGUMENTS)
+    assert set(experiment_commands(nobody)) == set(EXPERIMENTS)
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,7 +108,7 @@ HEAVY = ("torch", "numpy", "numba", "cv2", "pycolmap", "scipy", "matplotlib")
     ],
 )
 def test_what_needs_no_work_loads_nothing_heavy(arguments: list[str], output: str, tmp_path: Path) -> None:
-    RunFolder(tmp_path).write_config(tmp_path, RunConfig(scale=ScaleConfig(learning_rate=0.0123)))
+    write_config(tmp_path, SavedRun(tmp_path, RunConfig(scale=ScaleConfig(learning_rate=0.0123))))
     code = (
         "import sys\nfrom rtgs.cli import main\n"
         "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
@@ -153,30 +156,26 @@ def test_a_run_that_is_none(command: str, tmp_path: Path, capsys: pytest.Capture
 def test_names_are_printed_as_they_are(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of(["run", str(tmp_path / name), "--out", str(tmp_path / "run")]) == 2
     assert name in errors(capsys)
-    terminal = rtgs.cli.Terminal()
-    terminal.say(f"{name} done")
-    with terminal.stage("work") as progress:
+    terminal = Terminal()
+    with long_work(terminal, "work", "work") as progress:
         progress(1, 2, name)
-    assert f"{name} done" in capsys.readouterr().out
+        terminal(ResultLine(f"{name} done"))
+        terminal(WarningLine(f"{name} odd"))
+    shown = capsys.readouterr().out
+    assert f"{name} done" in shown and f"warning: {name} odd" in shown
 
 
-def test_long_messages_stay_on_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    def raises(arguments: Any) -> RunConfig:
-        raise RtgsError("word " * 200)
-
-    monkeypatch.setattr(rtgs.cli, "_saved_settings", raises)
-    assert code_of(["run"]) == 2
-    assert errors(capsys).count("word") == 200
+def test_long_messages_stay_on_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deep = "word " * 40
+    assert code_of(["run", f"{tmp_path}/{deep}/{deep}/{deep}", "--out", str(tmp_path / "run")]) == 2
+    assert errors(capsys).count("word") == 120
 
 
-def test_a_full_disk_is_no_traceback(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def full(self: RunFolder, *arguments: Any) -> None:
-        raise OSError(28, "No space left on device", str(tmp_path / "config.json"))
-
-    monkeypatch.setattr(RunFolder, "write_config", full)
+def test_what_the_system_refuses_is_no_traceback(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "capture").mkdir()
-    assert code_of(["run", str(tmp_path / "capture"), "--out", str(tmp_path / "run")]) == 2
-    assert "config.json: No space left on device" in errors(capsys)
+    (tmp_path / "file").touch()
+    assert code_of(["run", str(tmp_path / "capture"), "--out", str(tmp_path / "file" / "run")]) == 2
+    assert "file/run: Not a directory" in errors(capsys)
 
 
 def test_synth_and_its_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,7 +191,8 @@ def test_synth_and_its_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_saved_settings_are_found_wherever_the_run_stands(tmp_path: Path) -> None:
     config = RunConfig(rgb_max_side=123)
-    RunFolder(tmp_path / "run").write_config(tmp_path / "capture", config)
+    (tmp_path / "run").mkdir()
+    write_config(tmp_path / "run", SavedRun(tmp_path / "capture", config))
     run = str(tmp_path / "run")
     for arguments in (
         ["run", "capture", "--out", run],
@@ -203,31 +203,23 @@ def test_saved_settings_are_found_wherever_the_run_stands(tmp_path: Path) -> Non
         ["thermal", run],
         ["rgb", run],
     ):
-        assert rtgs.cli._saved_settings(arguments) == config, arguments
+        assert saved_settings(arguments) == config, arguments
     for arguments in (["run", "capture", "--out", str(tmp_path / "new")], ["run", run, "--out", "x"], ["scale"], []):
-        assert rtgs.cli._saved_settings(arguments) == RunConfig(), arguments
+        assert saved_settings(arguments) == RunConfig(), arguments
 
 
-def test_demo_keeps_its_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second call goes on with the first one's run: a new capture would have it start over."""
+def test_demo_keeps_its_capture(tmp_path: Path) -> None:
+    """A second call goes on with the first one's run; a demo of other settings makes its own capture."""
     small = SynthConfig(frames=3, size=16, supersampling=1, thermal_clean=False)
-    monkeypatch.setattr(rtgs.cli, "DEMO_CAPTURE", small)
 
-    class StopError(Exception):
-        pass
+    def stop_in_run(event: Event) -> None:
+        if isinstance(event, WorkStarted) and event.name != "synth":
+            raise KeyboardInterrupt
 
-    def start(*arguments: Any) -> None:
-        raise StopError
-
-    monkeypatch.setattr(Pipeline, "start", start)
     image = tmp_path / "capture" / "rgb" / "frame_000.png"
     times = []
-    for _ in range(2):
-        with pytest.raises(StopError):
-            main(["demo", "--out", str(tmp_path)])
+    for config in (small, small, replace(small, frames=4)):
+        with pytest.raises(KeyboardInterrupt):
+            demonstrate(tmp_path, config, RunConfig(), stop_in_run)
         times.append(image.stat().st_mtime_ns)
-    assert times[0] == times[1]
-    monkeypatch.setattr(rtgs.cli, "DEMO_CAPTURE", SynthConfig(frames=4, size=16, thermal_clean=False))
-    with pytest.raises(StopError):
-        main(["demo", "--out", str(tmp_path)])
-    assert image.stat().st_mtime_ns > times[0]
+    assert times[0] == times[1] < times[2]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.helpers.quiet_reporter import Quiet
+from tests.helpers.recorder import Recorder
 from tests.helpers.wall_scene import TRUTH, estimate, wall_scene
 
 from rtgs import __version__
@@ -18,7 +18,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.cli import main
 from rtgs.config import ManualConfig, RealExperimentConfig
 from rtgs.experiments.real import compare
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from rtgs.synthetic import SynthConfig, write_capture
 
 CONFIG = RealExperimentConfig(region=(20, 10, 40, 30))
@@ -32,7 +32,7 @@ def table(out: Path) -> dict[str, dict[str, str]]:
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("experiment")
-    compare(*wall_scene(), estimate(TRUTH), out, CONFIG, Quiet())
+    compare(*wall_scene(), estimate(TRUTH), out, CONFIG, Recorder())
     return out
 
 
@@ -46,7 +46,7 @@ def test_on_a_plane_at_its_distance_planar_is_as_good_as_ours(experiment: Path) 
 
 
 def test_at_another_distance_it_is_not(experiment: Path, tmp_path: Path) -> None:
-    compare(*wall_scene(), estimate(TRUTH), tmp_path, replace(CONFIG, plane_m=4.0), Quiet())
+    compare(*wall_scene(), estimate(TRUTH), tmp_path, replace(CONFIG, plane_m=4.0), Recorder())
     assert float(table(tmp_path)["planar"]["mae_c"]) > 2 * float(table(experiment)["planar"]["mae_c"])
 
 
@@ -80,16 +80,16 @@ def test_a_picture_a_held_out_frame(experiment: Path) -> None:
 ROWS = ["Naive", "Planar", "Ours"]  # those that run on the wall
 
 
-def kept(reporter: Quiet) -> list[str]:
+def kept(recorder: Recorder) -> list[str]:
     """Rows that were not made again."""
-    return [line.removesuffix(": done before") for line in reporter.lines if line.endswith(": done before")]
+    return [line.removesuffix(": done before") for line in recorder.lines if line.endswith(": done before")]
 
 
 def test_an_experiment_goes_on_where_it_was_stopped(experiment: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        compare(*wall_scene(), estimate(TRUTH), tmp_path, CONFIG, Quiet(stop="Planar"))
+        compare(*wall_scene(), estimate(TRUTH), tmp_path, CONFIG, Recorder(stop_in="planar"))
     assert [p.name for p in (tmp_path / "rows").iterdir()] == ["naive.npz"]  # whole rows only, and nothing half written
-    goes_on = Quiet()
+    goes_on = Recorder()
     compare(*wall_scene(), estimate(TRUTH), tmp_path, CONFIG, goes_on)
     assert kept(goes_on) == ["Naive"]
     assert table(tmp_path) == table(experiment)
@@ -104,10 +104,10 @@ def test_a_row_is_made_again_when_its_inputs_change(experiment: Path, tmp_path: 
         (0.5, replace(CONFIG, plane_m=1.1), ["Naive", "Ours"]),
         (0.5, smoother, []),  # another thermal fit changes every row
     ):
-        reporter = Quiet()
-        compare(*wall_scene(), estimate(scale), tmp_path, config, reporter)
-        assert kept(reporter) == expected
-        assert [title for title in reporter.titles if title in ROWS] == [title for title in ROWS if title not in expected]
+        recorder = Recorder()
+        compare(*wall_scene(), estimate(scale), tmp_path, config, recorder)
+        assert kept(recorder) == expected
+        assert [title for title in recorder.titles if title in ROWS] == [title for title in ROWS if title not in expected]
 
 
 def test_the_page_says_how_it_was_made(experiment: Path) -> None:
@@ -129,10 +129,10 @@ def test_the_page_says_how_it_was_made(experiment: Path) -> None:
     ],
 )
 def test_bad_settings_are_refused_before_any_work(tmp_path: Path, config: RealExperimentConfig, said: str) -> None:
-    reporter = Quiet()
+    recorder = Recorder()
     with pytest.raises(RtgsError, match=said):
-        compare(*wall_scene(), estimate(TRUTH), tmp_path, config, reporter)
-    assert reporter.titles == [] and not list(tmp_path.iterdir())
+        compare(*wall_scene(), estimate(TRUTH), tmp_path, config, recorder)
+    assert recorder.titles == [] and not list(tmp_path.iterdir())
 
 
 def test_of_a_capture_by_one_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

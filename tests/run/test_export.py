@@ -27,8 +27,9 @@ from rtgs.records.gaussians import Gaussians
 from rtgs.records.radiometry import LinearRange
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
+from rtgs.run.config_file import SavedRun
 from rtgs.run.export import scaled_scene
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from rtgs.scale import History, ScaleEstimate, Scan
 from rtgs.synthetic import SynthConfig, write_capture
 from rtgs.synthetic.capture import GroundTruth
@@ -76,7 +77,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     points = SparsePoints(np.array([[1.0, 2.0, 3.0], [-4.0, 0.5, 0.0]]), np.array([[1, 0, 0], [0, 0, 1]], np.float32))
     scene = Scene(capture, capture.poses.world_from_rgb, points, {})
     folder = RunFolder(root / "run")
-    folder.write_config(root / "capture", RunConfig())
+    folder.write_config(SavedRun(root / "capture", RunConfig()))
     folder.write_scene(scene, SFM_PER_METRE)
     folder.write_scale(
         ScaleEstimate(

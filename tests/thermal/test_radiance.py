@@ -29,7 +29,7 @@ from rtgs.records.radiometry import (
     extended,
 )
 from rtgs.records.scene import Scene
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from rtgs.thermal import fit_thermal, gaussian_temperatures
 from rtgs.thermal.frames import color_range
 
@@ -123,7 +123,7 @@ def test_a_run_keeps_the_constants(tmp_path: Path) -> None:
     data = folder.read_json("thermal.json")
     del data["drift"]
     folder.write_json("thermal.json", data)
-    with pytest.raises(RtgsError, match=r"thermal\.json.*older version.*rtgs thermal"):
+    with pytest.raises(RtgsError, match=r"thermal\.json.*drift.*another version.*Remove it and run again"):
         folder.read_thermal()
 
 

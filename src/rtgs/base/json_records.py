@@ -72,7 +72,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if origin in (Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
-        return _value(next(a for a in arguments if a is not type(None)), value, where)
+        return _value(_alternative([a for a in arguments if a is not type(None)], value), value, where)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return from_json(hint, value, where)
     if origin is tuple:
@@ -93,6 +93,18 @@ def _value(hint: Any, value: Any, where: str) -> Any:
 
 def _properties(cls: type) -> Sequence[str]:
     return getattr(cls, "JSON_PROPERTIES", ())
+
+
+def _alternative(hints: list[Any], value: Any) -> Any:
+    """Of several types, the first record that has exactly these fields, or else the first type."""
+    for hint in hints:
+        if (
+            isinstance(value, dict)
+            and dataclasses.is_dataclass(hint)
+            and {f.name for f in dataclasses.fields(hint)} == set(value)
+        ):
+            return hint
+    return hints[0]
 
 
 def _list(value: Any) -> list[Any]:
@@ -117,7 +129,11 @@ def read_record(cls: type[T], path: Path) -> T:
     Raises:
         RtgsError: the file is missing, no JSON, or not of this record.
     """
-    return from_json(cls, read_run_json(path), str(path))
+    data = read_run_json(path)
+    try:
+        return from_json(cls, data, str(path))
+    except RtgsError as error:
+        raise RtgsError(f"{error} Remove it and run again.") from None
 
 
 def read_run_json(path: Path) -> Any:

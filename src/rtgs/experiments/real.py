@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
+from rtgs.base.events import Listener, ResultLine, long_work
 from rtgs.base.json_records import to_json
 from rtgs.base.progress import Progress
 from rtgs.config import RealExperimentConfig, RunConfig
@@ -28,12 +29,13 @@ from rtgs.models import RgbModel
 from rtgs.records.capture import Capture
 from rtgs.records.scene import Scene
 from rtgs.run.config_file import is_run, read_config
-from rtgs.run.pipeline import Pipeline, Reporter, RunFolder
+from rtgs.run.folder import RunFolder
+from rtgs.run.pipeline import Pipeline
 from rtgs.scale import ScaleEstimate
 from rtgs.thermal import fit_thermal
 
 
-def real_experiment(source: Path, out: Path, config: RealExperimentConfig, reporter: Reporter) -> list[Path]:
+def real_experiment(source: Path, out: Path, config: RealExperimentConfig, listener: Listener) -> list[Path]:
     """Make Table III of a run, or of a capture. A capture is run first, in `out`/run, with the settings found there or the defaults.
 
     A row that an earlier call made from the same inputs is not made again.
@@ -45,20 +47,24 @@ def real_experiment(source: Path, out: Path, config: RealExperimentConfig, repor
         RtgsError: `source` or a setting cannot be used. A row that cannot run is no error: the tables say why.
     """
     config.check()
+    own = out / "run"
     if is_run(source):
-        pipeline = Pipeline(RunFolder(source), reporter)
+        opened = Pipeline.open(RunFolder(source), listener)
     else:
-        own = out / "run"
-        pipeline = Pipeline.start(source, own, read_config(own)[1] if is_run(own) else RunConfig(), reporter)
-    _check_names(config, pipeline.capture)
-    pipeline.run("scale")
-    folder = pipeline.folder
-    scene = read_scene(folder.path / "scene", pipeline.capture)  # a refined rig is the estimate's alone, and none of the rivals'
-    return compare(scene, folder.read_rgb(), folder.read_scale(), out, config, reporter)
+        opened = Pipeline.start(source, own, read_config(own).config if is_run(own) else RunConfig(), listener)
+    with opened as pipeline:
+        _check_names(config, pipeline.capture)
+        pipeline.run("scale")
+        folder = pipeline.folder
+        scene = read_scene(
+            folder.path / "scene", pipeline.capture
+        )  # a refined rig is the estimate's alone, and none of the rivals'
+        rgb, estimate = folder.read_rgb(), folder.read_scale()
+    return compare(scene, rgb, estimate, out, config, listener)
 
 
 def compare(
-    scene: Scene, rgb_model: RgbModel, estimate: ScaleEstimate, out: Path, config: RealExperimentConfig, reporter: Reporter
+    scene: Scene, rgb_model: RgbModel, estimate: ScaleEstimate, out: Path, config: RealExperimentConfig, listener: Listener
 ) -> list[Path]:
     """Make Table III of what is in memory.
 
@@ -78,30 +84,30 @@ def compare(
         raise RtgsError("experiment real: training frames and held-out frames are needed, and one kind has no registered frame.")
     given = Given(scene, rgb_model, estimate, config)
     common = _fingerprint(given)
-    rows = [_row(strategy, given, common, out, reporter) for strategy in STRATEGIES]
-    with reporter.stage("scores and pictures") as progress:
+    rows = [_row(strategy, given, common, out, listener) for strategy in STRATEGIES]
+    with long_work(listener, "scores", "scores and pictures") as progress:
         scored = score(scene, rows, config, progress)
         provenance = Provenance.of(command_line("rtgs experiment real CAPTURE --out DIR", config, RealExperimentConfig()))
         files = write_results(out, scene, rows, scored, _notes(given, scored), provenance, progress)
     for line in scored.lines():
-        reporter.say(line)
+        listener(ResultLine(line))
     return files
 
 
-def _row(strategy: Strategy, given: Given, common: str, out: Path, reporter: Reporter) -> Row:
+def _row(strategy: Strategy, given: Given, common: str, out: Path, listener: Listener) -> Row:
     """The row as an earlier call left it, or made now; without images where the strategy cannot run."""
     key = hashlib.sha256(f"{common} {strategy.key} {strategy.inputs(given)}".encode()).hexdigest()
     path = out / "rows" / f"{strategy.key}.npz"
     row = Row.read(path, strategy.title, key)
     if row is not None:
-        reporter.say(f"{strategy.title}: done before")
+        listener(ResultLine(f"{strategy.title}: done before"))
         return row
-    with reporter.stage(strategy.title) as progress:
+    with long_work(listener, strategy.key, strategy.title) as progress:
         start = time.perf_counter()
         try:
             placement = strategy.place(given, progress)
         except RtgsError as error:
-            reporter.say(f"{strategy.title}: not run, {error}")
+            listener(ResultLine(f"{strategy.title}: not run, {error}"))
             return Row(strategy.key, strategy.title, None, {}, why=str(error))
         images = _images(given, placement, progress)
     row = Row(strategy.key, strategy.title, placement.sfm_per_metre, images, seconds=time.perf_counter() - start)

@@ -16,7 +16,7 @@ from rtgs.io.capture import load_capture
 from rtgs.models import RgbModel
 from rtgs.records.scene import Scene
 from rtgs.rgb.train import fit_rgb
-from rtgs.run.pipeline import RunFolder
+from rtgs.run.folder import RunFolder
 from rtgs.sfm.poses import run_sfm
 from rtgs.synthetic import compiled_scene, render_thermal, write_capture
 from rtgs.synthetic.camera_path import camera_path

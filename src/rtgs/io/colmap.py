@@ -6,7 +6,9 @@ COLMAP stores `camera_from_world`; records here hold `world_from_rgb`, inverted 
 from __future__ import annotations
 
 import json
+import signal
 import struct
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +26,10 @@ from rtgs.records.scene import Scene
 
 RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID, THERMAL_RIG_ID = 1, 2, 1, 2
 _FAILURES = "failures.json"
+
+# Importing pycolmap makes SIGTERM print a stack trace and abort. It goes back to whoever had it, so that it can end work cleanly.
+if threading.current_thread() is threading.main_thread() and (_handler := signal.getsignal(signal.SIGTERM)) is not None:
+    signal.signal(signal.SIGTERM, _handler)
 
 
 @contextmanager

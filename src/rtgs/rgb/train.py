@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,12 @@ NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any
 
 
 def fit_rgb(
-    scene: Scene, config: RgbConfig | None = None, *, checkpoint: Path | None = None, progress: Progress | None = None
+    scene: Scene,
+    config: RgbConfig | None = None,
+    *,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+    snapshot: Callable[[int, RgbModel], None] | None = None,
 ) -> RgbModel:
     """Train 3D Gaussians on the scene's training frames (Kerbl et al. 2023).
 
@@ -47,6 +53,7 @@ def fit_rgb(
         scene: at least one training frame.
         checkpoint: where to keep the state while training; a file that is there is continued, bit for bit.
         progress: called with (step, steps, text).
+        snapshot: called with (step, model) about twenty times while the model grows. The model is a copy.
 
     Raises:
         RtgsError: no training frame, cameras all in one point, or a checkpoint of another configuration.
@@ -68,6 +75,8 @@ def fit_rgb(
             training.record()
             if checkpoint is not None and step < steps:
                 training.save(checkpoint)
+            if snapshot is not None:
+                snapshot(step, training.copied_model())
         if progress is not None:
             progress(step, steps, training.summary())
     return training.model()
@@ -310,6 +319,12 @@ class _Training:
         missing = sh.coefficients(self.sh_degree) - gaussians.sh.shape[1]
         gaussians = replace(gaussians, sh=torch.nn.functional.pad(gaussians.sh, (0, 0, 0, missing)))
         return RgbModel(gaussians, background, self.settings, {k: list(v) for k, v in self.history.items()})
+
+    def copied_model(self) -> RgbModel:
+        """`model` with tensors of its own: those of the training are changed in place."""
+        model = self.model()
+        tensors = {name: tensor.clone() for name, tensor in model.gaussians.tensors().items()}
+        return replace(model, gaussians=Gaussians(**tensors))
 
     def save(self, path: Path) -> None:
         state: dict[str, Any] = {

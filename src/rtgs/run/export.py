@@ -11,7 +11,8 @@ from rtgs.io.transforms import write_transforms
 from rtgs.maths.geometry import SE3
 from rtgs.records.capture import SparsePoints
 from rtgs.records.scene import Scene
-from rtgs.run.folder import RunFolder, refuse_own_folders, write_thermal_ply
+from rtgs.run.folder import RunFolder, refuse_own_folders
+from rtgs.run.model_files import write_thermal_ply
 
 
 def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[Path]:

@@ -49,9 +49,9 @@ class Contents:
         config = _optional(run / "config.json", lambda path: read_config(path.parent))
         return Contents(
             path=run,
-            capture=config[0] if config else None,
-            settings=config[1] if config else None,
-            version=_optional(run / "config.json", _version),
+            capture=config.capture if config else None,
+            settings=config.config if config else None,
+            version=config.version if config else None,
             summary=_optional(run / "capture_summary.json", lambda path: read_record(CaptureSummary, path)),
             scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
@@ -87,11 +87,6 @@ class Contents:
 
 def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
     return read(path) if path.is_file() else None
-
-
-def _version(path: Path) -> str | None:
-    version = read_run_json(path).get("version")
-    return None if version is None else str(version)
 
 
 def _decisions(path: Path) -> tuple[Decision, ...]:

@@ -1,0 +1,67 @@
+"""`rtgs render` and `rtgs export`: what leaves a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from rtgs.base.events import ResultLine, WarningLine, long_work
+from rtgs.cli.options import Folder, Hidden
+
+
+def render_images(
+    run: Folder,
+    out: Path,
+    listener: Hidden,
+    frames: tuple[str, ...] = (),
+    viewpoint: Literal["rgb", "thermal"] = "rgb",
+    emissivity: float | None = None,
+    reflected_c: float | None = None,
+) -> None:
+    """Render RGB, temperature and depth from the cameras of a run.
+
+    Args:
+        run: the run folder.
+        out: folder for NAME.rgb.png, NAME.thermal.png, NAME.thermal.tiff (°C) and NAME.depth.tiff (metres).
+        frames: names of frames; all when none is given.
+        viewpoint: whose camera to look through; everything is rendered from there, so it is aligned.
+        emissivity: temperatures as under this emissivity of the object instead of that in rig.json; nothing is fitted again.
+        reflected_c: likewise, under another apparent temperature of what the object reflects.
+    """
+    from rtgs.run.folder import RunFolder
+    from rtgs.run.views import render_views
+
+    folder = RunFolder(run)
+    scene = folder.load_scene(listener)
+    with long_work(listener, "render", "views") as progress:
+        render_views(
+            folder,
+            scene,
+            out,
+            frames,
+            viewpoint=viewpoint,
+            emissivity=emissivity,
+            reflected_c=reflected_c,
+            progress=progress,
+        )
+    listener(ResultLine(f"views: {out}"))
+
+
+def export_models(run: Folder, out: Path, listener: Hidden, metres: bool = False) -> None:
+    """Write the models and poses for other programs.
+
+    Args:
+        run: the run folder.
+        out: folder for rgb.ply, thermal.ply, transforms.json and a COLMAP model.
+        metres: lengths in metres instead of SfM units.
+    """
+    from rtgs.run.export import export
+    from rtgs.run.folder import RunFolder
+
+    folder = RunFolder(run)
+    scene = folder.load_scene(listener)
+    for path in export(folder, scene, out, metres=metres):
+        listener(ResultLine(f"wrote {path}"))
+    estimate = folder.read_scale()
+    if metres and estimate.status != "ok":
+        listener(WarningLine(f"these lengths may not be metres: {estimate.reason}"))

@@ -1,0 +1,48 @@
+"""The commands, by name, with the defaults of their settings filled in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeAlias
+
+from rtgs.base.events import Listener
+from rtgs.cli.commands.convert import import_photographs, make_synthetic
+from rtgs.cli.commands.demo import demo
+from rtgs.cli.commands.experiment import experiment, real, synthetic
+from rtgs.cli.commands.results import export_models, render_images
+from rtgs.cli.commands.run import rgb, run, scale, score, sfm, thermal
+from rtgs.config import RealExperimentConfig, RunConfig, SynthConfig, SyntheticExperimentConfig
+
+Commands: TypeAlias = dict[str, Callable[..., Any]]
+
+
+def all_commands(saved: RunConfig, listener: Listener) -> Commands:
+    """All commands.
+
+    Args:
+        saved: settings of the run that the command line names, which are the defaults of its flags.
+        listener: gets the events of the work.
+    """
+    table: Commands = {
+        "run": partial(run, config=saved),
+        "sfm": partial(sfm, config=saved.sfm, rgb_max_side=saved.rgb_max_side, saved=saved),
+        "rgb": partial(rgb, config=saved.rgb, rgb_ply=saved.rgb_ply),
+        "scale": partial(scale, config=saved.scale),
+        "thermal": partial(thermal, config=saved.thermal),
+        "eval": score,
+        "render": render_images,
+        "export": export_models,
+        "import": import_photographs,
+        "synth": partial(make_synthetic, config=SynthConfig()),
+        "demo": demo,
+    }
+    return {name: partial(command, listener=listener) for name, command in table.items()} | {"experiment": experiment}
+
+
+def experiment_commands(listener: Listener) -> Commands:
+    """The commands behind `rtgs experiment`."""
+    return {
+        "synthetic": partial(synthetic, config=SyntheticExperimentConfig(), listener=listener),
+        "real": partial(real, config=RealExperimentConfig(), listener=listener),
+    }

@@ -1,0 +1,48 @@
+"""Events of long work, shown on a terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from rtgs.base.events import Event, ResultLine, WarningLine, WorkFinished, WorkProgress, WorkStarted
+
+
+class Terminal:
+    """A listener that shows a bar with the time left while work goes on, and results and warnings a line each."""
+
+    def __init__(self) -> None:
+        self._console = Console()
+        self._bar: Progress | None = None
+        self._task = TaskID(0)
+
+    def __call__(self, event: Event) -> None:
+        match event:
+            case WorkStarted():
+                self._start(event.title)
+            case WorkProgress() if self._bar is not None:
+                self._bar.update(self._task, completed=event.done, total=event.total, text=event.text)
+            case WorkFinished() if self._bar is not None:
+                self._bar.stop()
+                self._bar = None
+            case ResultLine():
+                self._print(event.text)
+            case WarningLine():
+                self._print(f"warning: {event.text}")
+
+    def _start(self, title: str) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=16),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[text]}", style="dim", markup=False),
+            console=self._console,
+        )
+        self._task = self._bar.add_task(title, total=None, text="")
+        self._bar.start()
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)  # a path may hold [brackets]

@@ -1,0 +1,52 @@
+"""What the work of a stage is given."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from rtgs.base.events import Listener, ResultLine, WarningLine, long_work
+from rtgs.base.progress import Progress
+from rtgs.config import RunConfig
+from rtgs.records.capture import Capture
+from rtgs.records.scene import Scene
+from rtgs.run.folder import RunFolder
+
+
+@dataclass(eq=False)
+class Job:
+    """One stage of one run.
+
+    Attributes:
+        seconds: piece of work → how long it took; `work` fills it.
+    """
+
+    folder: RunFolder
+    config: RunConfig
+    capture: Capture
+    listener: Listener
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """As it is on disk when the stage begins: a resumed run sees the very same numbers as one that was not interrupted."""
+        return self.folder.read_scene(self.capture)
+
+    @contextmanager
+    def work(self, name: str, title: str) -> Iterator[Progress]:
+        """A piece of long work, told to the listener and timed."""
+        start = time.perf_counter()
+        with long_work(self.listener, name, title) as progress:
+            yield progress
+        self.seconds[name] = time.perf_counter() - start
+
+    def say(self, text: str) -> None:
+        """A line of result."""
+        self.listener(ResultLine(text))
+
+    def warn(self, text: str) -> None:
+        """Something that a person should know."""
+        self.listener(WarningLine(text))

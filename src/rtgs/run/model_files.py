@@ -1,0 +1,122 @@
+"""The models of a run: a PLY each, beside a JSON file with what the PLY cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from rtgs.base.files import write_whole
+from rtgs.base.json_records import read_record, write_json
+from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
+from rtgs.models import GaussianTemperatures, RgbModel, SensorModel, ThermalModel
+from rtgs.records.decision import Decision
+from rtgs.records.radiometry import LinearRange, PlanckRange
+from rtgs.renderer import RenderSettings
+
+
+@dataclass(frozen=True)
+class RgbFile:
+    """`rgb.json`; the fields are `RgbModel`'s."""
+
+    background: Sequence[float]
+    settings: RenderSettings
+    history: Mapping[str, Sequence[float]]
+
+
+@dataclass(frozen=True)
+class ThermalFile:
+    """`thermal.json` and `thermal_naive.json`; the fields are those of `ThermalModel` and its `SensorModel`; `pattern` names a TIFF."""
+
+    background: Sequence[float]
+    settings: RenderSettings
+    history: Mapping[str, Sequence[float]]
+    range: LinearRange
+    color_range: LinearRange | PlanckRange
+    sfm_per_metre: float
+    drift: Mapping[str, tuple[float, float]]
+    pattern: str | None = None
+    decisions: tuple[Decision, ...] = ()
+
+
+def write_rgb(run: Path, model: RgbModel) -> None:
+    """Write `rgb.ply` and `rgb.json`."""
+    write_ply(run / "rgb.ply", model.gaussians)
+    write_json(run / "rgb.json", RgbFile(model.background.tolist(), model.settings, model.history))
+
+
+def read_rgb(run: Path) -> RgbModel:
+    """Read what `write_rgb` wrote.
+
+    Raises:
+        RtgsError: a file is missing or damaged.
+    """
+    file = read_record(RgbFile, run / "rgb.json")
+    return RgbModel(read_ply(run / "rgb.ply"), _tensor(file.background), file.settings, file.history)
+
+
+def write_thermal(run: Path, model: ThermalModel, name: str, *, celsius: bool) -> None:
+    """Write `NAME.ply`, `NAME.json` and, where the sensor has a pattern, `NAME_pattern.tiff`."""
+    write_thermal_ply(run / f"{name}.ply", model, celsius=celsius)
+    pattern = None
+    if model.sensor.pattern is not None:
+        pattern = f"{name}_pattern.tiff"
+        with write_whole(run / pattern) as temporary:
+            Image.fromarray(model.sensor.pattern).save(temporary, format="TIFF")
+    write_json(
+        run / f"{name}.json",
+        ThermalFile(
+            model.background.tolist(),
+            model.settings,
+            model.history,
+            model.range,
+            model.colors,
+            model.sfm_per_metre,
+            model.sensor.drift,
+            pattern,
+            model.decisions,
+        ),
+    )
+
+
+def read_thermal(run: Path, name: str) -> ThermalModel:
+    """Read what `write_thermal` wrote.
+
+    Raises:
+        RtgsError: a file is missing or damaged, or an older version wrote it.
+    """
+    file = read_record(ThermalFile, run / f"{name}.json")
+    ply = read_thermal_ply(run / f"{name}.ply")
+    found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
+    return ThermalModel(
+        ply.gaussians,
+        _tensor(file.background),
+        file.range,
+        file.settings,
+        file.sfm_per_metre,
+        file.history,
+        file.color_range,
+        SensorModel(file.drift, None if file.pattern is None else np.asarray(Image.open(run / file.pattern))),
+        GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
+        file.decisions,
+    )
+
+
+def write_thermal_ply(path: Path, model: ThermalModel, *, celsius: bool, factor: float = 1.0) -> None:
+    """Write a thermal model with its lengths × `factor`; counts are no temperature and are not written as one."""
+    found = model.temperatures
+    known = (found.temperature, found.std, found.views) if found is not None and celsius else ()
+    write_ply(
+        path,
+        model.gaussians.scaled(factor) if factor != 1.0 else model.gaussians,
+        celsius_range=(model.colors.lo, model.colors.hi) if celsius else None,
+        properties=dict(zip(THERMAL_PROPERTIES, known, strict=False)),
+    )
+
+
+def _tensor(values: Sequence[float]) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float32)

@@ -1,0 +1,200 @@
+"""The stages of a run, in one table. Light to import: the work of a stage imports what it needs when it begins."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from rtgs.base.events import ModelSnapshot
+from rtgs.base.json_records import to_json
+from rtgs.config import RunConfig
+
+if TYPE_CHECKING:
+    from rtgs.base.progress import Progress
+    from rtgs.models import RgbModel, ThermalModel
+    from rtgs.run.content import Content
+    from rtgs.run.job import Job
+
+StageName: TypeAlias = Literal["sfm", "rgb", "scale", "thermal", "evaluate"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a run.
+
+    Attributes:
+        name: in `stages.json`, in events and on the command line.
+        title: for people.
+        settings: the part of a run's settings that its result depends on.
+        inputs: the part of the capture's content that its result depends on, beside what the stages before it depend on.
+        work: does it, from what the stages before it have left in the run folder.
+        makes: files and folders in the run folder that it leaves there.
+        may_make: likewise, depending on the capture.
+        keeps: those of `makes` that stay until they are replaced when the stage begins again. They are dear, and nobody reads them while
+            the stage is not complete.
+        half_done: files from which work that was cut off goes on.
+        parts: further pieces of work with their titles, which are timed by themselves.
+    """
+
+    name: StageName
+    title: str
+    settings: Callable[[RunConfig], Any]
+    inputs: Callable[[Content], Any]
+    work: Callable[[Job], None]
+    makes: tuple[str, ...]
+    may_make: tuple[str, ...] = ()
+    keeps: tuple[str, ...] = ()
+    half_done: tuple[str, ...] = ()
+    parts: Mapping[str, str] = field(default_factory=dict)
+
+
+def _find_poses(job: Job) -> None:
+    from rtgs.sfm.poses import run_sfm
+
+    with job.work("sfm", TITLES["sfm"]) as progress:
+        scene = run_sfm(job.capture, job.config.sfm, progress=progress)
+    job.folder.write_scene(scene, None)
+    job.folder.write_summary(scene)
+    job.say(f"sfm: {len(scene.frames)} of {len(job.capture.frames)} frames registered, {len(scene.points):,} points")
+    for name, reason in scene.failures.items():
+        job.say(f"  {name}: {reason}")
+    for warning in scene.capture.warnings[len(job.capture.warnings) :]:
+        job.warn(warning)
+
+
+def _make_rgb_model(job: Job) -> None:
+    from rtgs.rgb.train import fit_rgb, model_from_ply
+
+    scene, ply = job.scene, job.config.rgb_ply
+
+    def snapshot(step: int, model: RgbModel) -> None:
+        job.listener(ModelSnapshot("rgb", step, model))
+
+    if ply is not None:
+        with job.work("rgb", "import of the RGB model"):
+            model = model_from_ply(ply, scene.extent)
+    else:
+        with job.work("rgb", TITLES["rgb"]) as progress:
+            model = fit_rgb(scene, job.config.rgb, checkpoint=job.folder.checkpoint, progress=progress, snapshot=snapshot)
+    job.folder.write_rgb(model)
+    held_out = model.history.get("held_out_psnr")
+    job.say(f"rgb: {len(model.gaussians):,} Gaussians" + (f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else ""))
+
+
+def _find_scale(job: Job) -> None:
+    from rtgs.scale import estimate_scale
+
+    scene, model = job.scene, job.folder.read_rgb()  # the rig as calibrated: no scale.json is there to refine it
+    with job.work("scale", TITLES["scale"]) as progress:
+        estimate = estimate_scale(scene, model, job.config.scale, progress=progress)
+    job.folder.write_scale(estimate)
+    job.folder.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
+    interval = f" (95 %: {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g})" if estimate.ci95 else ""
+    job.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per metre{interval}, {estimate.status}")
+    if estimate.reason:
+        job.warn(estimate.reason)
+    for f in estimate.refinement.freedoms if estimate.refinement else []:
+        known = "" if f.decided else ", which the images do not decide"
+        job.say(f"  {f.name}: {f.mean:+.3g} ± {f.std:.2g} {f.unit} (calibration: ± {f.prior_std:.2g}){known}")
+
+
+def _fit_temperatures(job: Job) -> None:
+    from rtgs.thermal import fit_thermal, gaussian_temperatures
+
+    scene, rgb, config = job.scene, job.folder.read_rgb(), job.config.thermal
+    sfm_per_metre, celsius = job.folder.read_scale().sfm_per_metre, scene.capture.radiometry.unit == "°C"
+
+    def fit(at: float, progress: Progress) -> ThermalModel:
+        return fit_thermal(scene, rgb, at, config, progress=progress)
+
+    with job.work("thermal", TITLES["thermal"]) as progress:
+        model = fit(sfm_per_metre, progress)
+        model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress))
+    job.folder.write_thermal(model, celsius=celsius)
+    with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
+        naive = fit(1.0, progress)
+    job.folder.write_thermal(naive, "thermal_naive", celsius=celsius)
+    job.say(f"thermal: {len(model.gaussians):,} Gaussians with a temperature")
+
+
+def _score_held_out_views(job: Job) -> None:
+    from rtgs.evaluation.held_out import evaluate
+    from rtgs.metrics.lpips import available
+    from rtgs.run.summary import metric_lines
+
+    folder, scene = job.folder, job.scene
+    rgb, thermal, naive = folder.read_rgb(), folder.read_thermal(), folder.read_thermal("thermal_naive")
+    networks, notes = available(["alexnet"])
+    lpips = networks.get("alexnet")
+    with job.work("evaluate", TITLES["evaluate"]) as progress:
+        scores = evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=folder.renders, progress=progress)
+    scores = replace(scores, notes=tuple(notes), timings_s={**folder.seconds(), **job.seconds})
+    scores.write(folder.path / "metrics.json")
+    for line in metric_lines(scores):
+        job.say(line)
+
+
+STAGES: tuple[Stage, ...] = (
+    Stage(
+        name="sfm",
+        title="structure from motion",
+        settings=lambda config: [config.rgb_max_side, config.sfm],
+        inputs=lambda content: [content.files, content.cameras],
+        work=_find_poses,
+        makes=("scene", "capture_summary.json"),
+        keeps=("scene",),
+    ),
+    Stage(
+        name="rgb",
+        title="RGB model",
+        settings=lambda config: config.rgb,
+        inputs=lambda content: content.rgb_ply,
+        work=_make_rgb_model,
+        makes=("rgb.ply", "rgb.json"),
+        keeps=("rgb.ply",),
+        half_done=("rgb.checkpoint",),
+    ),
+    Stage(
+        name="scale",
+        title="metric scale",
+        settings=lambda config: config.scale,
+        inputs=lambda content: content.radiometry,
+        work=_find_scale,
+        makes=("scale.json",),
+    ),
+    Stage(
+        name="thermal",
+        title="thermal model",
+        settings=lambda config: config.thermal,
+        inputs=lambda content: None,
+        work=_fit_temperatures,
+        makes=("thermal.ply", "thermal.json", "thermal_naive.ply", "thermal_naive.json"),
+        may_make=("thermal_pattern.tiff", "thermal_naive_pattern.tiff"),
+        parts={"thermal_naive": "control: thermal model at scale 1"},
+    ),
+    Stage(
+        name="evaluate",
+        title="held-out views",
+        settings=lambda config: None,
+        inputs=lambda content: None,
+        work=_score_held_out_views,
+        makes=("metrics.json",),
+        may_make=("renders",),
+    ),
+)
+
+TITLES: dict[str, str] = {name: title for s in STAGES for name, title in {s.name: s.title, **s.parts}.items()}
+"""Titles of all pieces of work of a run, in their order."""
+
+
+def fingerprints(content: Content, config: RunConfig, stages: Sequence[Stage] = STAGES) -> dict[StageName, str]:
+    """What each stage's result depends on, as a hash chained from stage to stage."""
+    chain, result = "", {}
+    for stage in stages:
+        own = json.dumps(to_json([stage.settings(config), stage.inputs(content)]))
+        chain = hashlib.sha256((chain + own).encode()).hexdigest()[:16]
+        result[stage.name] = chain
+    return result
