@@ -6,13 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    QUICK,
-    RIG,
-    assembled,
-    objective,
-    synthetic,
-)
+from tests.helpers.scale_scenes import QUICK, RIG, assembled, objective, synthetic
 
 from rtgs.config import ScaleConfig
 from rtgs.maths.geometry import SE3

@@ -7,12 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    RIG,
-    assembled,
-    facing_walls,
-    wall,
-)
+from tests.helpers.scale_scenes import RIG, assembled, facing_walls, wall
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3

@@ -7,11 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    RIG,
-    posts,
-    with_rig,
-)
+from tests.helpers.scale_scenes import RIG, posts, with_rig
 
 from rtgs.config import ScaleConfig
 from rtgs.losses.edge_loss import EdgeLoss

@@ -6,14 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    GLOBAL,
-    RIG,
-    assembled,
-    facing_walls,
-    soft,
-    spiral,
-)
+from tests.helpers.scale_scenes import GLOBAL, RIG, assembled, facing_walls, soft, spiral
 
 from rtgs.scale import Comparison, estimate_scale
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tests.helpers.scale_scenes import (
-    objective,
-    synthetic,
-)
+from tests.helpers.scale_scenes import objective, synthetic
 
 from rtgs.scale.curves import LocalCurves, Window, hermite, widened
 from rtgs.scale.objective import Evaluation

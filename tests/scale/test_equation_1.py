@@ -9,13 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    RIG,
-    assembled,
-    sequence,
-    synthetic,
-    with_rig,
-)
+from tests.helpers.scale_scenes import RIG, assembled, sequence, synthetic, with_rig
 
 from rtgs.io.rig import read_rig
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle

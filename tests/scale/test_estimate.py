@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
-from tests.helpers.scale_scenes import (
-    GLOBAL,
-    QUICK,
-    assembled,
-    sequence,
-    synthetic,
-)
+from tests.helpers.scale_scenes import GLOBAL, QUICK, assembled, sequence, synthetic
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import from_json, to_json
 from rtgs.config import ScaleConfig
+from rtgs.config.scale import SolverName
 from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scale.solvers import SOLVERS
 
@@ -123,4 +119,4 @@ def test_every_solver_that_settings_can_name_is_there() -> None:
         assert ScaleConfig(solver=name).solver == name  # type: ignore[arg-type]
     with pytest.raises(RtgsError, match=r"solver is 'newton'; it is global or adam"):
         ScaleConfig(solver="newton")  # type: ignore[arg-type]
-    assert set(SOLVERS) == {"global", "adam"}
+    assert tuple(SOLVERS) == get_args(SolverName)

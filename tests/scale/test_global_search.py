@@ -8,18 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.helpers.scale_scenes import (
-    FORWARDS,
-    GLOBAL,
-    RIG,
-    assembled,
-    cloud,
-    drawn,
-    orbit,
-    posts,
-    spiral,
-    synthetic,
-)
+from tests.helpers.scale_scenes import FORWARDS, GLOBAL, RIG, assembled, cloud, drawn, orbit, posts, spiral, synthetic
 from tests.helpers.sensor_noise import sensor_stripes
 
 from rtgs.config import ScaleConfig

@@ -8,12 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.helpers.scale_scenes import (
-    RIG,
-    assembled,
-    photographs,
-    posts,
-)
+from tests.helpers.scale_scenes import RIG, assembled, photographs, posts
 
 from rtgs.images.filters import GRAY_WEIGHTS
 from rtgs.scale.noise import mean_gradients, model_error

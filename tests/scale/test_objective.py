@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.helpers.scale_scenes import (
-    GLOBAL,
-    RIG,
-    objective,
-    spiral,
-    synthetic,
-)
+from tests.helpers.scale_scenes import GLOBAL, RIG, objective, spiral, synthetic
 
 from rtgs.config import PAPER_EPSILON
 from rtgs.images.filters import blurred

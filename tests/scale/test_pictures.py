@@ -8,15 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.helpers.scale_scenes import (
-    FORWARDS,
-    GLOBAL,
-    RIG,
-    cloud,
-    drawn,
-    orbit,
-    spiral,
-)
+from tests.helpers.scale_scenes import FORWARDS, GLOBAL, RIG, cloud, drawn, orbit, spiral
 
 from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.losses.ngf import NgfPyramid

@@ -8,14 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    RIG,
-    STATED,
-    STD,
-    assembled,
-    sequence,
-    with_rig,
-)
+from tests.helpers.scale_scenes import RIG, STATED, STD, assembled, sequence, with_rig
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import ScaleConfig

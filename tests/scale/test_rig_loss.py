@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.helpers.scale_scenes import (
-    STATED,
-    in_float64,
-    sequence,
-)
+from tests.helpers.scale_scenes import STATED, in_float64, sequence
 
 from rtgs.config import REFINABLE
 from rtgs.losses.edge_loss import EdgeLoss

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.helpers.scale_scenes import (
-    RIG,
-)
+from tests.helpers.scale_scenes import RIG
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import REFINABLE, ScaleConfig

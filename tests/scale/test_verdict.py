@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
-from tests.helpers.scale_scenes import (
-    GLOBAL,
-    facing_walls,
-)
+from tests.helpers.scale_scenes import GLOBAL, facing_walls, objective, synthetic
 
 from rtgs.scale import estimate_scale
+from rtgs.scale.bracket import Bracket
+from rtgs.scale.curves import LocalCurves
+from rtgs.scale.interval import Interval
+from rtgs.scale.problem import Found
+from rtgs.scale.records import History, Minimum
+from rtgs.scale.verdict import Verdict, judge, outside
 
 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
@@ -27,3 +33,43 @@ def test_a_picket_fence_is_ambiguous() -> None:
     everything = [estimate.sfm_per_metre, *(m.sfm_per_metre for m in estimate.minima)]
     assert min(abs(s - 1.0) for s in everything) < 0.03
     assert any(m.chance > 0.025 for m in estimate.minima) and f"{estimate.minima[0].sfm_per_metre:.4g}" in estimate.reason
+
+
+def found(closed: bool = True, doubt: str = "", chances: tuple[float, ...] = ()) -> Found:
+    """What a solver found at s = 1, with other minima that are the better ones in these shares of the resamples."""
+    scene, model = synthetic()
+    curves = LocalCurves(objective(scene, model), (0, 1), (-0.1, 0.1))
+    minima = tuple(Minimum(2.0 + k, 0.01, chance) for k, chance in enumerate(chances))
+    return Found(0.0, 1.0, curves, closed, History(), 0, doubt, minima=minima)
+
+
+SURE = Interval(0.01, (0.98, 1.02), None)
+
+
+def test_the_first_reason_decides() -> None:
+    wide = Interval(0.3, (0.5, 2.0), None)
+    assert judge(found(), SURE) == Verdict("ok", "")
+    everything = found(closed=False, doubt="below the bracket", chances=(0.5,))
+    assert judge(everything, wide) == Verdict("unobservable", "below the bracket")
+    flat = judge(replace(everything, doubt=""), wide)
+    assert flat.status == "unobservable" and "flat: between 0.9048 and 1.105 SfM" in flat.reason
+    left_open = judge(found(chances=(0.5,)), wide)
+    assert left_open.status == "unobservable" and "by a factor of 1.8 to either side" in left_open.reason
+    assert judge(found(), Interval(0.5 / 1.96, (0.6, 1.6), None)).status == "ok"
+
+
+def test_minima_are_rivals_from_a_fortieth_of_the_resamples_on() -> None:
+    assert judge(found(chances=(0.025, 0.0)), SURE).status == "ok"
+    verdict = judge(found(chances=(0.4, 0.025, 0.03)), SURE)
+    assert verdict.status == "ambiguous" and "as well at 2 and 4 SfM" in verdict.reason
+
+
+def test_a_single_frame_is_not_asked_for_its_curves() -> None:
+    assert judge(found(closed=False), Interval(None, None, None)) == Verdict("ok", "")
+
+
+def test_answers_outside_of_the_bracket() -> None:
+    bracket = Bracket(0.5, 20.0)
+    assert outside(math.log(0.5) + 1e-9, bracket) == outside(math.log(20.0) - 1e-9, bracket) == ""
+    assert "0.4, lies below what the images can tell (0.5 to 20 SfM units per metre)" in outside(math.log(0.4), bracket)
+    assert "lies above" in outside(math.log(21.0), bracket)

@@ -1,6 +1,6 @@
 """How far a joint refinement can be off, and how much the calibration's prior should count.
 
-docs/scale.md, "Joint refinement", has the equations; its letters are those of the code.
+docs/how-it-works/scale.md, "Joint refinement", has the equations, with the letters of the code.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Joint refinement: the scale together with what the calibration has wrong, held by the calibration's standard deviations.
 
-docs/how-it-works/scale.md, "Joint refinement", has the equations; its letters are those of the code.
+docs/how-it-works/scale.md, "Joint refinement", has the equations, with the letters of the code.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The solvers that `ScaleConfig.solver` names. Another one is a value with `solve(problem) -> Found`, in a file of its own."""
+"""The solvers that `ScaleConfig.solver` names.
+
+Another one is a value with `solve(problem) -> Found` in a file of its own, an entry here, and its name in `rtgs.config.scale.SolverName`.
+"""
 
 from __future__ import annotations
 
