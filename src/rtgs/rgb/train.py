@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numba as nb
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
@@ -17,6 +18,7 @@ from torch import Tensor
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import write_whole
 from rtgs.base.progress import Progress
+from rtgs.base.threads import in_order
 from rtgs.config import RgbConfig
 from rtgs.io.ply import read_ply
 from rtgs.losses.photometric import photometric
@@ -120,6 +122,12 @@ def initial_gaussians(xyz: np.ndarray, rgb: np.ndarray, sh_degree: int) -> Gauss
     )
 
 
+def _border(frame: Frame) -> np.ndarray:
+    """`[P, 3]`: the outermost pixels of an RGB image, its corners twice."""
+    image = frame.rgb
+    return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+
+
 def _random_points(scene: Scene, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Uniform in what the cameras look at: frusta cut off at twice the scene's extent."""
     rng = np.random.default_rng(seed)
@@ -182,9 +190,8 @@ class _Training:
         if self.config.background != "learned":
             return torch.full((3,), 1.0 if self.config.background == "white" else 0.0)
         # A blank background reaches the border of the picture; anywhere else the border's median is as good as any colour.
-        borders = [
-            np.concatenate([f.rgb[0], f.rgb[-1], f.rgb[:, 0], f.rgb[:, -1]]).astype(np.float32) for f in self.scene.train_frames
-        ]
+        # All images are loaded here for the first time, so this goes by threads.
+        borders = list(in_order(_border, self.scene.train_frames, nb.get_num_threads()))
         return torch.as_tensor(np.median(np.concatenate(borders), axis=0), dtype=torch.float32)
 
     def factor(self) -> int:
