@@ -9,17 +9,10 @@ from collections.abc import Mapping
 from rtgs.evaluation.records import Evaluation
 from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import missing, section, wide
-from rtgs.run.report.values import METRICS, duration, metric, signed_metric
+from rtgs.run.report.values import METRICS, duration, first_upper, metric, signed_metric
+from rtgs.run.stages import TITLES
 
 _MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s\u00a0=\u00a01)"}
-_STAGES = {
-    "sfm": "Structure from motion",
-    "rgb": "RGB model",
-    "scale": "Scale",
-    "thermal": "Thermal model",
-    "thermal_naive": "Thermal control (s\u00a0=\u00a01)",
-    "evaluate": "Evaluation",
-}
 
 
 def metrics_section(run: Contents) -> str:
@@ -63,9 +56,9 @@ def timings_section(run: Contents) -> str:
         return ""
     longest = max(seconds.values()) or 1.0
     rows = ""
-    for key in [*(k for k in _STAGES if k in seconds), *(k for k in seconds if k not in _STAGES)]:
+    for key in [*(k for k in TITLES if k in seconds), *(k for k in seconds if k not in TITLES)]:
         bar = f'<span class="bar" style="width:{100 * seconds[key] / longest:.1f}%"></span>'
-        title = html.escape(_STAGES.get(key, key))
+        title = html.escape(first_upper(TITLES.get(key, key)))
         rows += f"<tr><th>{title}</th><td>{duration(seconds[key])}</td><td class='bars'>{bar}</td></tr>"
     rows += f'<tr class="total"><th>All</th><td>{duration(sum(seconds.values()))}</td><td></td></tr>'
     return section("Time taken", wide(rows, "numbers timings"))

@@ -7,7 +7,7 @@ import html
 from rtgs.run.report.charts import history_chart, local_chart, scan_chart
 from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import facts, missing, section, wide
-from rtgs.run.report.values import minus
+from rtgs.run.report.values import first_upper, minus
 from rtgs.scale import ScaleEstimate
 from rtgs.scale.records import Freedom, Refinement
 
@@ -19,7 +19,7 @@ def scale_section(run: Contents) -> str:
     scale = run.scale
     if scale is None:
         return section("Scale", missing(run, "scale.json"))
-    note = f"<p>{html.escape(scale.reason[0].upper() + scale.reason[1:])}</p>" if scale.reason else ""
+    note = f"<p>{html.escape(first_upper(scale.reason))}</p>" if scale.reason else ""
     solver = _SOLVERS.get(scale.solver, scale.solver)
     second = local_chart(scale) if scale.solver == "global" else history_chart(scale, solver)
     charts = [chart for chart in (scan_chart(scale), second) if chart]
