@@ -12,7 +12,7 @@ from rtgs.records.decision import Decision
 DECISIONS = [
     Decision("drift", "offset", "Offsets lower the error within validation frames.", 0.5, 0.41, "°C", 0.02),
     Decision("a <new> rule", "<none>", "The user chose it."),
-    Decision("ridge", "0.01", "The smallest error of four.", error_after=0.4004, unit="counts", threshold=0.0),
+    Decision("ridge", "0.01", "The smallest error of four.", error_after=40.04, unit="counts", threshold=0.0),
 ]
 
 
@@ -21,10 +21,10 @@ def test_every_decision_is_a_row_with_its_numbers(tmp_path: Path) -> None:
     write_json(run / "thermal.json", {"background": [0.5], "decisions": DECISIONS})
     page = page_of(run)
     assert page.headings[5:8] == ["Metrics", "Decisions of the thermal fit", "Time taken"]
-    drift = "Drift of the sensor offset Offsets lower the error within validation frames. 0.5 → 0.41 °C (−18.0 %) 2 %"
+    drift = "Drift of the sensor offset Offsets lower the error within validation frames. 0.500 → 0.410 °C (−18.0 %) 2 %"
     assert drift in page.text
     assert "a <new> rule <none> The user chose it. not measured –" in page.text  # escaped, and nothing invented
-    assert "Regularisation (ridge) 0.01 The smallest error of four. 0.4 counts 0 %" in page.text
+    assert "Regularisation (ridge) 0.01 The smallest error of four. 40.0 counts 0 %" in page.text
 
 
 def test_a_model_without_decisions_has_no_such_section(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 
 from rtgs.records.decision import Decision
 from rtgs.run.report.contents import Contents
@@ -44,9 +45,17 @@ def _row(decision: Decision) -> str:
 
 def _errors(decision: Decision) -> str:
     """ "0.412 → 0.395 °C (−4.1 %)"; one number where only one was measured."""
-    before, after, unit = decision.error_before, decision.error_after, f"\u00a0{decision.unit}" if decision.unit else ""
-    if before is None or after is None:
-        only = after if before is None else before
-        return "not measured" if only is None else f"{only:.3g}{unit}"
-    change = minus(f" ({100 * (after / before - 1):+.1f}\u00a0%)") if before > 0 else ""
-    return f"{before:.3g} → {after:.3g}{unit}{change}"
+    unit = f"\u00a0{decision.unit}" if decision.unit else ""
+    measured = [error for error in (decision.error_before, decision.error_after) if error is not None]
+    if not measured:
+        return "not measured"
+    decimals = _decimals(max(measured))
+    change = ""
+    if len(measured) == 2 and measured[0] > 0:
+        change = minus(f" ({100 * (measured[1] / measured[0] - 1):+.1f}\u00a0%)")
+    return " → ".join(f"{error:.{decimals}f}" for error in measured) + unit + change
+
+
+def _decimals(number: float) -> int:
+    """How many decimals show three digits of a positive number."""
+    return max(0, 2 - math.floor(math.log10(number))) if number > 0 else 2
