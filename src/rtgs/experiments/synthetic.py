@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +91,10 @@ def synthetic_experiment(out: Path, config: SyntheticExperimentConfig, *, progre
             try:
                 complete({pool.submit(_prepare, str(out), config, name): f"{name}: RGB model" for name in scenes})
                 complete({pool.submit(_perform, str(out), config, t): f"{t.scene}, seed {t.seed}" for t in tasks})
-            except BaseException:
+            except BaseException as error:
+                if isinstance(error, KeyboardInterrupt):  # SIGTERM reaches this process alone
+                    for process in active_children():
+                        process.terminate()
                 pool.shutdown(cancel_futures=True)  # waits for what is under way: nothing is written after the call has ended
                 raise
     return write_tables(folder, config)
