@@ -56,9 +56,8 @@ def real_experiment(source: Path, out: Path, config: RealExperimentConfig, liste
         _check_names(config, pipeline.capture)
         pipeline.run("scale")
         folder = pipeline.folder
-        scene = read_scene(
-            folder.path / "scene", pipeline.capture
-        )  # a refined rig is the estimate's alone, and none of the rivals'
+        # The rig as calibrated: a refined one belongs to the estimate alone, not to the other strategies.
+        scene = read_scene(folder.path / "scene", pipeline.capture)
         rgb, estimate = folder.read_rgb(), folder.read_scale()
     return compare(scene, rgb, estimate, out, config, listener)
 
