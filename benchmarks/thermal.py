@@ -108,7 +108,8 @@ def report(problem: Problem, rates: list[float], steps: list[int]) -> None:
     rows: list[tuple[str, Score, float]] = []
     runs = [timed(scene, problem, ThermalConfig()) for _ in range(3)]  # short: one may meet with something else on the machine
     linear, seconds = runs[0][0], sorted(s for _, s in runs)[1]
-    kind = "off" if not linear.drift else "gain and offset" if any(g != 1.0 for g, _ in linear.drift.values()) else "offset"
+    chosen = {d.name: d.choice for d in linear.decisions}
+    kind = "gain and offset" if chosen["gains"] == "on" else chosen["drift"]
     rows.append((f"least squares (drift: {kind}, chosen)", score(problem, scene, linear), seconds))
     for drift in ("off", "offset", "gain-offset"):
         model, other = timed(scene, problem, ThermalConfig(drift=drift))

@@ -11,18 +11,19 @@ class ThermalConfig:
     """Fit of the thermal spherical harmonics."""
 
     solver: Literal["linear", "adam"] = "linear"
-    """Least squares by conjugate gradients; or the paper's Adam, to which alone the settings after `sh_degree` matter."""
+    """"linear": least squares by conjugate gradients. "adam": the paper's solver; the settings after `sh_degree` are for it alone."""
     drift: Literal["auto", "off", "offset", "gain-offset"] = "auto"
-    """What each frame has of its own (linear solver): "auto" decides on training frames that are left out of the fit."""
+    """Drift of each photograph (linear solver): an offset, or a gain and an offset. "auto" decides it on validation frames, which are
+    training frames that are left out of the fit meanwhile."""
     sh_degree: int = 1
-    """Highest band: emission depends on the direction only weakly."""
+    """Highest band of the harmonics. Emission depends on the direction only weakly."""
     steps: int = 1000
-    """Optimisation steps; one image each."""
+    """Optimisation steps, one image each."""
     learning_rate: float = 1e-2
-    """Adam's rate of the constant band, falling tenfold; higher bands take a twentieth of it."""
+    """Adam's rate for the constant band. It falls tenfold over the fit; higher bands have a twentieth of it."""
     ssim_weight: float = 0.0
     """Loss = ℓ1 + this · (1 − SSIM)."""
     initial_noise: float = 0.0
-    """Standard deviation of the initial coefficients; zero starts at the middle of the range."""
+    """Standard deviation of the initial coefficients; 0 starts at the middle of the range."""
     seed: int = 0
-    """Order of the frames and the initial noise."""
+    """Seed of the frames' order and of the initial noise."""

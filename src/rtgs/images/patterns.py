@@ -1,4 +1,4 @@
-"""What a thermal sensor draws into every one of its images."""
+"""The pattern that a thermal sensor adds to all of its images: vignetting, and readout noise of rows and columns."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-_FEWEST_FRAMES = 8
-_AGREEMENT = 0.7  # correlation of the two halves
-_SMOOTH_PX = 3.0
+_FEWEST_FRAMES = 8  # a median over fewer holds too much of the scene
+_AGREEMENT = 0.7  # correlation of the row (column) levels of two halves of the frames: readout noise is the same in both
+_SMOOTH_PX = 3.0  # standard deviation of the filter whose output is the scene's course, and not readout noise
 
 
 def sensor_pattern(images: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """`[h, w]`: what stays in the same place of all thermal images `[F, h, w]` and has the shape of a sensor's error.
+    """`[h, w]`: the part of all images `[F, h, w]` that stays in the same place and has the shape of a sensor's error.
 
-    Of the median over frames: a quadratic surface (vignetting, the housing's own warmth) and the fine part of row and column levels
-    (readout noise), these only where two halves of the frames agree about them. The median as it is would hold the scene wherever that
-    stays put in the picture, as in an orbit; a row's median over its pixels, taken against its neighbours', does not.
+    Of the median over frames it has two parts. One is a quadratic surface: vignetting, and the warmth of the housing. The other is the
+    fine part of the levels of rows and columns: readout noise. The second part needs two halves of the frames to agree about it.
+
+    The median itself would hold the scene wherever the scene stays in the same place of the images, as in an orbit. The median of a
+    row, compared with the rows beside it, does not.
+
+    Args:
+        mask: `[h, w]`, valid pixels.
+
+    Returns:
+        0 where masked, and everywhere if there are fewer than 8 frames.
     """
     if len(images) < _FEWEST_FRAMES or mask.sum() < 100:
         return np.zeros(mask.shape, np.float32)
@@ -48,12 +56,12 @@ def quadratic_terms(shape: tuple[int, ...]) -> NDArray[np.float64]:
 def _quadratic(image: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     terms = quadratic_terms(image.shape)
     matrix, right = torch.from_numpy(terms[:, mask].T), torch.from_numpy(image[mask])[:, None]
-    weights = torch.linalg.lstsq(matrix, right).solution  # NumPy's would have threads of its own, which the fit could not rein in
+    weights = torch.linalg.lstsq(matrix, right).solution  # NumPy's has threads of its own, which the fit cannot limit
     return np.asarray(np.einsum("k,khw->hw", weights[:, 0].numpy(), terms))
 
 
 def _fine_levels(image: NDArray[np.float64], mask: NDArray[np.bool_], axis: int) -> NDArray[np.float64]:
-    """Median of each row (`axis` 0) or column (1) of the image less its own smooth course along that axis."""
+    """`[h]` or `[w]`: the median of each row (`axis` 0) or column (1), after a smooth course along that axis is subtracted."""
     filled = np.where(mask, image, np.median(image[mask]))
     fine = np.where(mask, filled - gaussian_filter1d(filled, _SMOOTH_PX, axis=axis), np.nan)
     seen = np.asarray(mask.any(axis=1 - axis))
@@ -63,7 +71,7 @@ def _fine_levels(image: NDArray[np.float64], mask: NDArray[np.bool_], axis: int)
 
 
 def _median(values: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Of what is not NaN, which in each line something is; NumPy's own sorts each line by itself."""
+    """The median of what is not NaN, in lines that have such values. Sorts all lines at once; NumPy's nanmedian sorts one by one."""
     ordered = np.sort(values, axis=axis)  # NaN last
     count = np.isfinite(values).sum(axis=axis, keepdims=True)
     low, high = (np.take_along_axis(ordered, k, axis=axis) for k in ((count - 1) // 2, count // 2))

@@ -5,19 +5,16 @@ Errors in decisions are mean absolute errors of a pixel on validation frames, af
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Literal
 
-import torch
 from torch import Tensor
 
 from rtgs.records.decision import Decision
+from rtgs.thermal.candidates import FirstSolve, few_iterations, solve_candidates
 from rtgs.thermal.drift import DriftKind
 from rtgs.thermal.fit import Fitted
 from rtgs.thermal.frames import ThermalFrames
-from rtgs.thermal.least_squares import solve
-from rtgs.thermal.robust import solve_robustly
 from rtgs.thermal.settings import LinearSettings
 from rtgs.thermal.validation import EarlyStopping, Validation, is_clearly_less
 
@@ -33,39 +30,6 @@ def choose_rows(data: ThermalFrames, settings: LinearSettings) -> tuple[int, Dec
         return 1, Decision("rows", "all", f"No row of every {every}th has a valid pixel.")
     millions = f"The photographs have {pixels / 1e6:.1f} million pixels; about {settings.pixels / 1e6:.1f} million are enough."
     return every, Decision("rows", "all" if every == 1 else f"1 in {every}", millions)
-
-
-@dataclass(frozen=True, eq=False)
-class FirstSolve:
-    """Models without validation frames, by plain least squares. Drift and pattern are chosen by comparing them.
-
-    Attributes:
-        offsets: each frame has an offset, and all frames have a quadratic surface in common, which stands in for vignetting.
-        no_surface: with offsets, without the surface.
-        no_offsets: with the surface, without offsets.
-    """
-
-    offsets: Fitted
-    no_surface: Fitted
-    no_offsets: Fitted
-
-    def under(self, kind: DriftKind) -> Fitted:
-        """The model to start from when this kind of drift is chosen."""
-        return self.no_offsets if kind == "off" else self.offsets
-
-
-def first_solve(validation: Validation) -> FirstSolve:
-    """One multi-right-hand-side solve with three columns. Without validation frames there is nothing to compare, and one column."""
-    fit, start, factor = validation.fit, validation.fit.coverage.prior[:, None], validation.fit.settings.default_factor
-    if not validation.frames:
-        problem = fit.problem((factor,), validation.others)
-        solution = solve(problem, start, iterations=fit.settings.unvalidated_iterations, each=fit.each)
-        return FirstSolve(*Fitted.of(fit, solution.x) * 3)
-    offsets, surfaces = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 1.0])
-    problem = fit.problem((factor,) * 3, validation.others, offsets=offsets, surface=validation.surface, surfaces=surfaces)
-    stopping = EarlyStopping(validation, ["offset", "offset", "off"], fit.settings.stop_share_first)
-    solution = solve(problem, start.expand(-1, 3), iterations=fit.settings.iterations, settled=stopping, each=fit.each)
-    return FirstSolve(*Fitted.of(fit, solution.x))
 
 
 def looks_drifting(validation: Validation, first: FirstSolve) -> bool:
@@ -91,8 +55,8 @@ def choose_drift(validation: Validation, first: FirstSolve, asked: Asked) -> tup
         share = validation.own_drift_share("off", before)
         return "off", decided(
             "off",
-            f"Offsets and gains would explain {share:.1%} of the error on validation frames; "
-            f"drift is considered from {settings.offset_share:.0%} on.",
+            f"Offsets and gains would explain {_percent(share)} of the error on validation frames; "
+            f"drift is considered from {_percent(settings.offset_share)} on.",
         )
     if not is_clearly_less(errors[1], errors[0], settings.drift_gain):
         return "off", decided("off", _criterion("Offsets do not clearly lower", settings.drift_gain))
@@ -143,7 +107,7 @@ def choose_gains(
 
     if asked == "gain-offset":
         reason = f"The setting drift = {asked} asks for it."
-        return gains, _few_iterations(validation, gains, start), Decision("gains", "on", reason)
+        return gains, few_iterations(validation, gains, start), Decision("gains", "on", reason)
     if asked != "auto":
         return no(f"The setting drift = {asked} excludes gains.")
     if not validation.is_enough:
@@ -153,9 +117,10 @@ def choose_gains(
     share = validation.own_drift_share(kind, start.images)
     if share < settings.gain_share:
         return no(
-            f"Gains would explain {share:.1%} of the error that is left; they are considered from {settings.gain_share:.0%} on."
+            f"Gains would explain {_percent(share)} of the error that is left; "
+            f"they are considered from {_percent(settings.gain_share)} on."
         )
-    before, after = _few_iterations(validation, kind, start), _few_iterations(validation, gains, start)
+    before, after = few_iterations(validation, kind, start), few_iterations(validation, gains, start)
     errors = [validation.errors(gains, i.images) for i in (before, after)]
     if not is_clearly_less(errors[1], errors[0], settings.drift_gain):
         return no(_criterion("Gains do not clearly lower", settings.drift_gain), errors)
@@ -167,7 +132,7 @@ def choose_gains(
         )
     reason = _criterion("Gains lower", settings.drift_gain)
     decision = _decision("gains", "on", reason, validation, errors, settings.drift_gain)
-    return gains, _few_iterations(validation, gains, after), decision
+    return gains, few_iterations(validation, gains, after), decision
 
 
 def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tuple[float, Fitted, Decision]:
@@ -183,41 +148,13 @@ def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tupl
         return settings.default_factor, start, Decision("ridge", f"{settings.default_factor:g}", _too_few(validation, 1))
     factors = settings.ridge_factors
     stopping = EarlyStopping(validation, [kind] * len(factors), settings.stop_share_ridge)
-    fitted, iterations = solve_others_robustly(validation, factors, kind, start, settings.iterations, stopping)
+    fitted, iterations = solve_candidates(validation, factors, kind, start, settings.iterations, stopping)
     best = int(stopping.errors.argmin())
     listed = ", ".join(f"{f:g}" for f in factors)
     reason = f"Of the factors {listed}, this one has the smallest error on validation frames, after {iterations} iterations."
     usual = factors.index(settings.default_factor) if settings.default_factor in factors else best
     errors = [stopping.errors[usual], stopping.errors[best]]
     return factors[best], fitted[best].copied(), _decision("ridge", f"{factors[best]:g}", reason, validation, errors, None)
-
-
-def solve_others_robustly(
-    validation: Validation,
-    factors: Sequence[float],
-    kind: DriftKind,
-    start: Fitted,
-    iterations: int,
-    settled: Callable[[Tensor], bool] = lambda x: False,
-) -> tuple[list[Fitted], int]:
-    """Huber's loss on all but the validation frames, one column for each ridge factor; gains as they suit the images of `start`.
-
-    Returns:
-        A solution for each factor, and how many iterations were made.
-    """
-    fit, others = validation.fit, validation.others
-    problem = fit.problem(factors, others, drift=fit.gauged(kind, start.images))
-    shown = [start.images[f][..., None] for f in others]
-    solution = solve_robustly(
-        problem, start.x, huber=fit.settings.huber, iterations=iterations, shown=shown, settled=settled, each=fit.each
-    )
-    known = {f: solution.shown(f) for f in others} | {f: fit.design.image(f, solution.x) for f in validation.frames}
-    return Fitted.of(fit, solution.x, known), solution.iterations
-
-
-def _few_iterations(validation: Validation, kind: DriftKind, start: Fitted) -> Fitted:
-    settings = validation.fit.settings
-    return solve_others_robustly(validation, (settings.default_factor,), kind, start, settings.gain_iterations)[0][0]
 
 
 def _decision(
@@ -231,8 +168,12 @@ def _decision(
     return Decision(name, choice, reason, before, after, data.unit, threshold)
 
 
+def _percent(share: float) -> str:
+    return f"{100 * max(share, 0.0):.2g} %"
+
+
 def _criterion(what_happens: str, share: float) -> str:
-    required = f"required: by {share:.1%}, by more than a standard error, and in most frames"
+    required = f"required: by {_percent(share)}, by more than a standard error, and in most frames"
     return f"{what_happens} the error within validation frames ({required})."
 
 

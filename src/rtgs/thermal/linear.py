@@ -18,6 +18,7 @@ from rtgs.models import RgbModel, ThermalModel
 from rtgs.models.sensor import SensorModel
 from rtgs.records.scene import Scene
 from rtgs.thermal import choices
+from rtgs.thermal.candidates import first_solve
 from rtgs.thermal.colors import affine, as_model
 from rtgs.thermal.design import Design
 from rtgs.thermal.drift import in_gauge
@@ -57,7 +58,7 @@ def fit_linear(
 
         # Drift, pattern, gains and ridge, each decided on validation frames.
         validation = Validation.of(fit, scene.split)
-        first = choices.first_solve(validation)
+        first = first_solve(validation)
         kind, drift = choices.choose_drift(validation, first, config.drift)
         is_drifting = config.drift == "auto" and choices.looks_drifting(validation, first)
         found = first.under(kind)
