@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rtgs.maths.geometry import SE3, Sim3
     from rtgs.models import RgbModel, ThermalModel
     from rtgs.records.camera import Camera
-    from rtgs.records.capture import Capture, Frame
+    from rtgs.records.capture import Capture, Frame, Split
     from rtgs.records.gaussians import Gaussians
     from rtgs.records.rig import Rig
     from rtgs.records.scene import Scene
@@ -67,6 +67,7 @@ _WHERE = {
     "records.capture": (
         "Capture",
         "Frame",
+        "Split",
     ),
     "records.gaussians": ("Gaussians",),
     "records.rig": ("Rig",),
@@ -114,6 +115,7 @@ __all__ = [
     "Scene",
     "SfmConfig",
     "Sim3",
+    "Split",
     "Tangents",
     "ThermalConfig",
     "ThermalModel",

@@ -23,8 +23,8 @@ Image: TypeAlias = NDArray[np.float32]
 ImageSource: TypeAlias = Image | Callable[[], Image]
 
 
-class _ImageField:
-    """A field of a frame that holds an image, or a function that is called for it at every access."""
+class LazyImage:
+    """A field of `Frame`: it takes an image, or a function that loads one, and it gives the image."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = f"_{name}"
@@ -58,8 +58,8 @@ class Frame:
     """
 
     name: str
-    rgb: _ImageField = _ImageField()
-    thermal: _ImageField = _ImageField()
+    rgb: LazyImage = LazyImage()
+    thermal: LazyImage = LazyImage()
     time_s: float | None = None
 
     def with_thermal(self, thermal: ImageSource) -> Frame:
