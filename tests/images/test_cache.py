@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,8 +20,8 @@ def image(i: int) -> NDArray[np.float32]:
 
 def test_an_image_is_the_one_of_its_key_whatever_had_to_go() -> None:
     cache = ImageCache(3 * IMAGE_BYTES)
-    for i in np.random.default_rng(0).integers(0, 10, 200):
-        np.testing.assert_array_equal(cache.get(int(i), lambda i=i: image(i)), image(i))
+    for i in np.random.default_rng(0).integers(0, 10, 200).tolist():
+        np.testing.assert_array_equal(cache.get(i, partial(image, i)), image(i))
         assert cache.bytes <= cache.max_bytes
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from numpy.lib.recfunctions import repack_fields
+from numpy.lib.recfunctions import drop_fields
 from plyfile import PlyData, PlyElement
 
 from rtgs.base.errors import RtgsError
@@ -170,7 +170,7 @@ def test_error_names_file_and_field(tmp_path: Path, field: str, damage: str) -> 
     write_ply(tmp_path / "model.ply", model(1, 3))
     vertex = np.array(PlyData.read(str(tmp_path / "model.ply"))["vertex"].data)
     if damage == "missing":
-        vertex = repack_fields(vertex[[n for n in vertex.dtype.names if n != field]])
+        vertex = drop_fields(vertex, field)
     else:
         vertex[field][2] = np.nan
     PlyData([PlyElement.describe(vertex, "vertex")]).write(str(tmp_path / "bad.ply"))
@@ -181,7 +181,7 @@ def test_error_names_file_and_field(tmp_path: Path, field: str, damage: str) -> 
 def test_wrong_number_of_harmonics(tmp_path: Path) -> None:
     write_ply(tmp_path / "model.ply", model(1, 3))
     vertex = PlyData.read(str(tmp_path / "model.ply"))["vertex"].data
-    fewer = repack_fields(vertex[[n for n in vertex.dtype.names if n != "f_rest_8"]])
+    fewer = drop_fields(vertex, "f_rest_8")
     PlyData([PlyElement.describe(fewer, "vertex")]).write(str(tmp_path / "bad.ply"))
     with pytest.raises(RtgsError, match="8 f_rest fields"):
         read_ply(tmp_path / "bad.ply")

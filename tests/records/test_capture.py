@@ -68,4 +68,4 @@ def test_another_thermal_image_leaves_the_rest_of_a_frame_as_it_is() -> None:
 
 def test_a_frame_has_both_images() -> None:
     with pytest.raises(TypeError, match="thermal"):
-        Frame("a", RGB)  # type: ignore[call-arg]
+        Frame("a", RGB)

@@ -14,7 +14,7 @@ from PIL import Image
 from rtgs.base.errors import RtgsError
 from rtgs.config import SfmConfig
 from rtgs.io.capture import load_capture
-from rtgs.io.colmap import colmap_camera
+from rtgs.io.colmap import colmap_camera, rigid3d_from_se3
 from rtgs.io.rig import write_rig
 from rtgs.io.transforms import write_transforms
 from rtgs.maths.geometry import SE3, look_at
@@ -95,6 +95,7 @@ def check_poses(world_from_rgb: dict[str, SE3], position_error: float = 0.02) ->
     found = np.array([world_from_rgb[name].translation for name in names])
     true = np.array([POSES[name].translation for name in names])
     true_from_found = pycolmap.estimate_sim3d(found, true)
+    assert true_from_found is not None
     moved = true_from_found.scale * found @ true_from_found.rotation.matrix().T + true_from_found.translation
     assert np.linalg.norm(moved - true, axis=1).max() < position_error
     for name in names:
@@ -143,9 +144,8 @@ def test_poses_with_points_are_taken_as_they_are(own_room: Path) -> None:
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(colmap_camera(RGB, 1))
     for i, name in enumerate(NAMES[:4]):
-        pose = POSES[name].inverse()
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation), pose.translation)
-        model.add_image_with_trivial_frame(pycolmap.Image(name=f"{name}.png", camera_id=1, image_id=i + 1), pose)
+        image = pycolmap.Image(name=f"{name}.png", camera_id=1, image_id=i + 1)
+        model.add_image_with_trivial_frame(image, rigid3d_from_se3(POSES[name].inverse()))
     model.add_point3D(np.ones(3), pycolmap.Track(), np.zeros(3, np.uint8))
     (own_room / "sparse" / "0").mkdir(parents=True)
     model.write_binary(own_room / "sparse" / "0")

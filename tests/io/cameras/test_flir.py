@@ -237,7 +237,7 @@ def damaged_raw(change: Callable[[bytes], bytes]) -> dict[str, bytes | None]:
 )
 def test_damage_is_refused_by_file_and_part(tmp_path: Path, changes: dict[str, bytes | None], said: str) -> None:
     with pytest.raises(RtgsError) as error:
-        read_flir(flir_jpeg(tmp_path / "broken.jpg", **changes))
+        read_flir(flir_jpeg(tmp_path / "broken.jpg", None, **changes))
     assert "broken.jpg" in str(error.value) and said in str(error.value) and "\n" not in str(error.value)
 
 

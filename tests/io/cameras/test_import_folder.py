@@ -81,7 +81,7 @@ def refused(out: Path, call: Callable[[], object], *said: str) -> None:
 
 
 def decoded(file: bytes) -> NDArray[np.float32]:
-    return np.asarray(Image.open(io.BytesIO(file)), np.float32) / 255
+    return np.asarray(Image.open(io.BytesIO(file)), np.float32) / np.float32(255)
 
 
 # ---------------------------------------------------------------------------------------------------- FLIR
