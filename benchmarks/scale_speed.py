@@ -3,8 +3,8 @@
     python benchmarks/scale_speed.py RUN [--repeats 3]
 
 RUN is a run folder with an RGB model. A step of Adam needs a loss and a slope of every frame: "forward" takes the slope from a tangent
-picture, as `--scale.solver adam` does, "reverse" through the renderer's backward pass, as the paper does. Their 200 steps are timed on
-a few (the paper's cost is the same at every scale that is close by). Prints a Markdown table of medians.
+picture, as `--scale.solver adam` does, "reverse" through the renderer's backward pass, as the paper does. A few
+of their 200 steps are timed, since all cost alike. Prints a Markdown table of medians.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""Slopes of losses over the scale, rendered where a solver comes by, and a solver replayed on them.
+"""Slopes of losses over the scale, rendered where a solver asks for them, and Adam replayed on them.
 
-In one dimension the loss curve *is* the problem: one picture with its tangent at a scale gives every loss, of every perturbation of the
-thermal images that leaves the cameras alone, its slope there. Adam sees nothing but slopes, so a run of it can be replayed on slopes from
-renders that other runs left behind. Two kinds of loss need two ways.
+The loss has one unknown. One picture with its tangent at a scale gives the slope of every loss there, against every variant of the
+thermal images that leaves the cameras alone. Adam sees nothing but slopes, so a run of it can be replayed on slopes from the renders of
+other runs. There are two kinds of loss.
 
-**Smooth losses** are interpolated linearly between nodes of a lattice; where a run settles, nodes are added until it stays.
+**Smooth losses** are interpolated linearly between nodes of a lattice. Where a run settles, nodes are added until it stays.
 
-**Noisy losses.** With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at the least change of the render: the
-slope of the mean loss carries noise that is new every 0.02 % of s, often larger than the slope itself. A run averages it over its steps,
-an interpolation would freeze it and so invent minima. Such a run renders at each of its steps.
+**Noisy losses** are rendered at each step of a run. With the paper's ε = 1e-6 the gradients of flat areas are unit vectors that turn at
+the least change of the render. The slope of the mean loss then carries noise that is new every 0.02 % of s, often larger than the slope
+itself. A run averages this noise over its steps; an interpolation would freeze it and so invent minima.
 
-Cubics through values and slopes (Hermite) will not do for either: a render jumps where a Gaussian falls below the cut-off or two change
-places, values contain these jumps and slopes do not, so such a curve has other slopes than those that Adam sees, however fine the nodes.
+Cubics through values and slopes (Hermite) suit neither kind. A render jumps where a Gaussian falls below the cut-off or two change
+places. Values contain these jumps and slopes do not, so a cubic has other slopes than those that Adam sees, however fine the nodes.
 """
 
 from __future__ import annotations

@@ -107,11 +107,11 @@ class NgfPyramid:
         return total / sum(self.settings.level_weights)
 
     def loss(self, picture: Tensor) -> float:
-        """As `EdgeTarget.loss`."""
+        """Eq. 7 of a picture `[H, W]`, as a number."""
         return float(self(picture))
 
     def products(self, picture: Tensor, tangents: Tensor) -> Products:
-        """As `EdgeTarget.products`: the slope is the loss's own, the matrix that of `residuals`."""
+        """Eq. 7 of a picture `[H, W]` and its slopes along tangents `[K, H, W]`, with the Gauss–Newton matrix of `residuals`."""
         losses, slopes, changes = [], [], []
         for tangent in tangents:
             loss, slope = torch.func.jvp(self, (picture,), (tangent,))  # type: ignore[misc]

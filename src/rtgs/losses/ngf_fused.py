@@ -48,7 +48,7 @@ class FusedNgf:
         return FusedNgf(tuple(targets), tuple(max(level.pixels, 1) for level in pyramid.levels), pyramid.settings)
 
     def loss(self, picture: Tensor) -> float:
-        """As `EdgeTarget.loss`, of `[H, W]` float32."""
+        """Eq. 7 of a picture `[H, W]` float32."""
         agreement, image = 0.0, picture.numpy()
         for level, target in enumerate(self.targets):
             image = image if level == 0 else _halved(image[None])[0]
@@ -57,7 +57,7 @@ class FusedNgf:
         return float(1.0 - agreement)
 
     def products(self, picture: Tensor, tangents: Tensor) -> Products:
-        """As `EdgeTarget.products`, of `[H, W]` and `[K, H, W]` float32."""
+        """Eq. 7 of a picture `[H, W]` and its derivatives along tangents `[K, H, W]`, all float32."""
         stack = np.concatenate([picture.numpy()[None], tangents.numpy()])
         k = len(tangents)
         agreement, slope, matrix = 0.0, np.zeros(k), np.zeros(k * k)

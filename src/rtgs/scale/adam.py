@@ -70,7 +70,7 @@ class Adam:
     """The paper's objective and solver. Without a start it begins at the minimum of a scan of the same loss over the bracket."""
 
     def solve(self, problem: Problem) -> Found:
-        """As `Solver.solve`."""
+        """Scan where there is no start, take the steps, and draw the curves of all frames around the last one."""
         config, bracket, frames, progress = problem.config, problem.bracket, problem.frames, problem.progress
         epsilon = PAPER_EPSILON if config.epsilon is None else config.epsilon
         objective = Objective(problem.scene, problem.model, frames, EdgeLoss(config.level_weights, epsilon))

@@ -53,7 +53,11 @@ class GlobalSearch:
     first_frames: int = 16
 
     def solve(self, problem: Problem) -> Found:
-        """As `Solver.solve`."""
+        """Scan, descend from the minima of the scan, blur where the lens is soft, settle on the curves' minimum, and check it.
+
+        Raises:
+            RtgsError: the "cuda" back end, which has no forward mode.
+        """
         frames, bracket, progress, seed = problem.frames, problem.bracket, problem.progress, problem.config.seed
         progress.plan(EPSILON_FRAMES)
         pictures = Pictures.of(problem)
