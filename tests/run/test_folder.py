@@ -1,0 +1,68 @@
+"""Files of a run that are missing or damaged, and which stages count as complete."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.helpers.tiny_run import all_complete, complete_stages, recorded
+
+from rtgs.base.errors import RtgsError
+from rtgs.run.folder import RunFolder, StageEntry
+from rtgs.run.stages import STAGES
+
+READERS: dict[str, Callable[[RunFolder], object]] = {
+    "stages.json": RunFolder.entries,
+    "config.json": RunFolder.read_config,
+    "scale.json": RunFolder.read_scale,
+    "rgb.json": RunFolder.read_rgb,
+    "rgb.ply": RunFolder.read_rgb,
+    "thermal.json": RunFolder.read_thermal,
+    "thermal.ply": RunFolder.read_thermal,
+    "scene": RunFolder.load_scene,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("damage", ["half of it", "[]"])
+def test_a_damaged_file_is_named(run: Path, name: str, damage: str) -> None:
+    path = run / name if name != "scene" else run / "scene" / "images.bin"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2] if damage == "half of it" else b"[]")
+    with pytest.raises(RtgsError, match=name):
+        READERS[name](RunFolder(run))
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if name not in ("stages.json", "scene")])
+def test_a_missing_file_is_named(run: Path, name: str) -> None:
+    (run / name).unlink()
+    with pytest.raises(RtgsError, match=name):
+        READERS[name](RunFolder(run))
+
+
+def test_a_run_without_stages_has_none(run: Path) -> None:
+    (run / "stages.json").unlink()
+    assert RunFolder(run).entries() == {} and complete_stages(run) == []
+
+
+def test_a_stage_that_begins_takes_the_later_ones_with_it(run: Path) -> None:
+    folder = RunFolder(run)
+    assert all_complete(run)
+    (run / "rgb.checkpoint").touch()
+    folder.begin(STAGES[2:], "other")
+    assert complete_stages(run) == ["sfm", "rgb"]
+    assert folder.entries()["scale"] == StageEntry(begun="other") and "thermal" not in folder.entries()
+    assert (run / "rgb.checkpoint").exists()  # no half-done work of this stage
+    folder.begin(STAGES[1:], "first")
+    assert not (run / "rgb.checkpoint").exists() and (run / "rgb.ply").exists()  # dear, and nobody reads it now
+    (run / "rgb.checkpoint").touch()
+    folder.begin(STAGES[1:], "first")  # it goes on
+    assert (run / "rgb.checkpoint").exists()
+    folder.finish(STAGES[1], "first", {"rgb": 2.0})
+    assert not (run / "rgb.checkpoint").exists() and folder.seconds()["rgb"] == 2.0
+
+
+def test_a_read_only_command_says_which_stage_is_missing(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    RunFolder(run).begin(STAGES[3:], "other")
+    assert recorded(["export", str(run), "--out", str(run.parent / "out")])[1] == 2
+    assert "thermal.json: missing; `rtgs run`" in capsys.readouterr().err
