@@ -17,10 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
+from rtgs.base.compiled import kernel
 from rtgs.losses.edge_loss import EdgeLoss, Products
 from rtgs.losses.ngf import LEAST_STRENGTH, NgfPyramid
 
@@ -89,11 +90,8 @@ class FusedNgf:
 
 # --- kernels ---
 
-_FAST = {"nsz", "arcp", "contract", "reassoc", "afn"}
-_ORDERED = {"nsz", "contract"}  # sums as written: the Sobel filters of a flat picture are exactly zero
 
-
-@njit(fastmath=_ORDERED, cache=True, parallel=True)
+@kernel("ordered", parallel=True, checks_division=True)
 def _halved(stack):  # type: ignore[no-untyped-def]
     """Means over 2 × 2 blocks of `[K, H, W]`."""
     count, height, width = stack.shape[0], stack.shape[1] // 2, stack.shape[2] // 2
@@ -106,14 +104,14 @@ def _halved(stack):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(fastmath=_ORDERED, cache=True)
+@kernel("ordered")
 def _gradient_row(above, middle, below, side, centre, gx, gy):  # type: ignore[no-untyped-def]
     for x in range(len(gx)):
         gx[x] = side * ((above[x + 2] - above[x]) + (below[x + 2] - below[x])) + centre * (middle[x + 2] - middle[x])
         gy[x] = side * ((below[x] - above[x]) + (below[x + 2] - above[x + 2])) + centre * (below[x + 1] - above[x + 1])
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast", checks_division=True)
 def _agreement_row(gx, gy, mx, my, valid, epsilon2):  # type: ignore[no-untyped-def]
     """Σ (n · m)² and Σ ‖n‖² of a row."""
     total, squares = F(0.0), F(0.0)
@@ -126,7 +124,7 @@ def _agreement_row(gx, gy, mx, my, valid, epsilon2):  # type: ignore[no-untyped-
     return total, squares
 
 
-@njit(fastmath=_FAST, cache=True, parallel=True)
+@kernel("fast", parallel=True, checks_division=True)
 def _agreement(image, target, epsilon2, side, centre):  # type: ignore[no-untyped-def]
     """`[rows, 2]`: Σ (n · m)² and Σ ‖n‖² over each row."""
     rows, columns = target.shape[1], target.shape[2]
@@ -139,7 +137,7 @@ def _agreement(image, target, epsilon2, side, centre):  # type: ignore[no-untype
     return sums
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast", checks_division=True)
 def _tangent_row(gx, gy, hx, hy, mx, my, v, valid, epsilon2, cross, rest):  # type: ignore[no-untyped-def]
     """Fill ċ and ė of a row; return Σ (n · m)(ṅ · m) and Σ n · ṅ."""
     total, change = F(0.0), F(0.0)
@@ -155,7 +153,7 @@ def _tangent_row(gx, gy, hx, hy, mx, my, v, valid, epsilon2, cross, rest):  # ty
     return total, change
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast")
 def _dot(a, b):  # type: ignore[no-untyped-def]
     total = F(0.0)
     for x in range(len(a)):
@@ -163,7 +161,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(fastmath=_FAST, cache=True, parallel=True)
+@kernel("fast", parallel=True, checks_division=True)
 def _products(stack, target, epsilon2, side, centre):  # type: ignore[no-untyped-def]
     """`[rows, 2 + 2·K + K²]`: over each row, Σ (n · m)², Σ ‖n‖², Σ (n · m)(ṅ · m), Σ n · ṅ and Σ JᵀJ. `stack`: render, tangents."""
     rows, columns = target.shape[1], target.shape[2]

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch import Tensor
 
+from rtgs.base.compiled import kernel
 from rtgs.losses.ssim import reference_ssim, ssim_and_gradient
 
 _SSIM_STRIDE = 2  # window rows from one that counts to the next
@@ -112,11 +113,10 @@ class _Photometric(torch.autograd.Function):
         return (*gradients, None, None, None, None, None)
 
 
-_FAST = {"nsz", "arcp", "contract", "reassoc", "afn"}  # a NaN has to stay visible
 _BAND = 16  # rows a thread takes at a time
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@kernel("fast", parallel=True)
 def _compose(color, alpha, background, gain, offset, image):  # type: ignore[no-untyped-def]
     b0, b1, b2 = background[0] * gain[0], background[1] * gain[1], background[2] * gain[2]
     k0, k1, k2 = gain[0], gain[1], gain[2]
@@ -129,7 +129,7 @@ def _compose(color, alpha, background, gain, offset, image):  # type: ignore[no-
             image[y, x, 2] = k2 * color[y, x, 2] + b2 * through + o2
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@kernel("fast", parallel=True)
 def _decompose(  # type: ignore[no-untyped-def]
     color, alpha, background, gain, image, target, valid, l1_weight, ssim_factor, gradient, g_alpha, sums
 ):

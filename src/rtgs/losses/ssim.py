@@ -21,9 +21,11 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
+
+from rtgs.base.compiled import inlined, kernel
 
 SIGMA_PX = 1.5
 RADIUS_PX = 5
@@ -182,13 +184,6 @@ def ssim_and_gradient(
 # Rows are worked on in tiles of fixed width, with every intermediate at a fixed offset of one small buffer: they stay in cache
 # and, the distances being compile-time constants, LLVM vectorises without a thicket of run-time alias checks.
 
-_FAST = {
-    "nsz",
-    "arcp",
-    "contract",
-    "reassoc",
-    "afn",
-}  # all of fastmath but the promise that there is no NaN: one must stay visible
 _TAPS = window_taps().astype(np.float32)
 _T0, _T1, _T2, _T3, _T4, _T5 = (numba.float32(t) for t in _TAPS[: RADIUS_PX + 1])
 _TILE = 1024  # output floats a tile
@@ -199,7 +194,7 @@ _C1 = np.float32(C1)
 _C2 = np.float32(C2)
 
 
-@njit(inline="always")
+@inlined
 def _blur_along_row(source, at, count, step, out, to):  # type: ignore[no-untyped-def]
     """out[to + x] = Σ_k tap_k · source[at + x + k·step], taps paired by symmetry."""
     for x in range(count):
@@ -214,7 +209,7 @@ def _blur_along_row(source, at, count, step, out, to):  # type: ignore[no-untype
         )
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast")
 def _blur_tile(source, quantities, count, channels, out):  # type: ignore[no-untyped-def]
     # Literal steps make the tap distances constants, which doubles the speed; other channel counts take the general loop.
     for q in range(quantities):
@@ -227,7 +222,7 @@ def _blur_tile(source, quantities, count, channels, out):  # type: ignore[no-unt
             _blur_along_row(source, at, count, channels, out, at)
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast")
 def _moments_of_columns(a, b, top, left, count, taps, out):  # type: ignore[no-untyped-def]
     """Vertical half of the four moments a, b, aa + bb, ab for the window rows top … top + 10."""
     middle_a, middle_b, tap = a[top + 5, left : left + count], b[top + 5, left : left + count], taps[5]
@@ -249,7 +244,7 @@ def _moments_of_columns(a, b, top, left, count, taps, out):  # type: ignore[no-u
             out[3 * _STRIDE + x] += tap * (p * q + r * s)
 
 
-@njit(fastmath=_FAST, cache=True, error_model="numpy")  # a check for zero divisors would keep the loop from being a vector
+@kernel("fast")
 def _similarity_of_moments(moments, weights, count, slopes):  # type: ignore[no-untyped-def]
     """Σ weight · S over the tile, and weight · ∂S/∂(μa, E[aa], E[ab]) into `slopes`."""
     total = np.float32(0.0)
@@ -273,12 +268,12 @@ def _similarity_of_moments(moments, weights, count, slopes):  # type: ignore[no-
     return total
 
 
-@njit(inline="always")
+@inlined
 def _row(source, y, left):  # type: ignore[no-untyped-def]
     return source[y, left:]
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast")
 def _columns_of(source, top, rows, left, count, taps, out, to):  # type: ignore[no-untyped-def]
     """Vertical half of one filter: out[to + x] = Σ_k taps_k · source[top + k, left + x] over `rows` rows."""
     # Three rows a sweep: one over all would need more alias checks than LLVM emits, and one a row stores too often.
@@ -294,7 +289,7 @@ def _columns_of(source, top, rows, left, count, taps, out, to):  # type: ignore[
                 out[to + x] += t0 * r0[x] + t1 * r1[x] + t2 * r2[x]
 
 
-@njit(fastmath=_FAST, cache=True)
+@kernel("fast")
 def _blur_row(source, count, channels, out):  # type: ignore[no-untyped-def]
     """`out` `[count]` from `source` `[count + 10·C]`; the steps are literal for the reason given at `_blur_tile`."""
     if channels == 3:
@@ -305,7 +300,7 @@ def _blur_row(source, count, channels, out):  # type: ignore[no-untyped-def]
         _blur_along_row(source, 0, count, channels, out, 0)
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@kernel("fast", parallel=True, checks_division=True)
 def _similarity_rows(  # type: ignore[no-untyped-def]
     a, b, centres, channels, weight, first, stride, margin, row_sums, slopes
 ):
@@ -340,7 +335,7 @@ def _similarity_rows(  # type: ignore[no-untyped-def]
                 _blur_row(framed[q], n + reach, channels, slopes[q, k + margin])
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@kernel("fast", parallel=True, checks_division=True)
 def _gradient_rows(a, b, slopes, first, stride, margin, gradient):  # type: ignore[no-untyped-def]
     """∂/∂a = w∗(∂S/∂μa) + 2a · w∗(∂S/∂E[aa]) + b · w∗(∂S/∂E[ab]): the chain rule through three symmetric filters."""
     rows, n = a.shape

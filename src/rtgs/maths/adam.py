@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch import Tensor
+
+from rtgs.base.compiled import kernel
 
 BETA_1, BETA_2 = 0.9, 0.999
 EPSILON = 1e-15  # 3DGS's: gradients per pixel are far below the customary 1e-8
@@ -73,14 +75,13 @@ class Adam:
             self.replace(name, value, state["first"][name], state["second"][name])
 
 
-_FAST = {"nsz", "arcp", "contract", "reassoc", "afn"}  # all of fastmath but the promise of no NaN: one must stay visible
 _BLOCK_ROWS = 64
 _B1, _C1 = np.float32(BETA_1), np.float32(1.0 - BETA_1)
 _B2, _C2 = np.float32(BETA_2), np.float32(1.0 - BETA_2)
 _EPSILON = np.float32(EPSILON)
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@kernel("fast", parallel=True, checks_division=True)
 def _update(parameter, gradient, first, second, step_sizes, root):  # type: ignore[no-untyped-def]
     """One step on flat arrays; `step_sizes` repeats with its own length, `root` = 1/√(1 − β2ᵗ)."""
     n, length = len(parameter), len(step_sizes)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from rtgs.base.compiled import kernel
 
 Planes = NDArray[np.float32]
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True)
+@kernel("fastest", concurrent=True, checks_division=True)
 def add_each(planes: Planes, factors: Planes, others: Planes) -> None:
     """planes `[C, P]` += factors `[C]` · others `[C or 1, P]`."""
     channels, pixels = planes.shape
@@ -19,7 +20,7 @@ def add_each(planes: Planes, factors: Planes, others: Planes) -> None:
             planes[c, i] += factors[c] * other[i]
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True)
+@kernel("fastest", concurrent=True)
 def products(a: Planes, b: Planes) -> Planes:
     """`[B, C]`: Σ over the pixels of a `[B, P]` times b `[C, P]`."""
     out = np.empty((len(a), len(b)), np.float32)

@@ -13,9 +13,9 @@ image falls into one bin (it does not move, so its window need not be smooth), t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.experiments.rivals.losses import Rival
 
 _BINS = 50
@@ -47,14 +47,14 @@ class MutualInformation:
         return -float(information), -float(_slope(self._fixed, moving, rate, gains)) / total
 
 
-@njit(cache=True, inline="always")
+@inlined
 def _position(value):  # type: ignore[no-untyped-def]
     """u, and whether the value lies inside of [0, 1]."""
     inside = 0.0 < value < 1.0
     return _PADDING + _INNER * min(max(float(value), 0.0), 1.0), inside
 
 
-@njit(cache=True)
+@kernel(checks_division=True)
 def _joint(fixed, moving):  # type: ignore[no-untyped-def]
     """`[bins, bins]`: sums of β³(m − u) over the pixels of each fixed bin."""
     joint = np.zeros((_BINS, _BINS))
@@ -70,7 +70,7 @@ def _joint(fixed, moving):  # type: ignore[no-untyped-def]
     return joint
 
 
-@njit(cache=True)
+@kernel(checks_division=True)
 def _slope(fixed, moving, rate, gains):  # type: ignore[no-untyped-def]
     """Σ over pixels and bins of gains · dβ³(m − u)/du · u̇."""
     total = 0.0

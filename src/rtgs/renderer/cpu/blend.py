@@ -15,6 +15,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.renderer.cpu.channels import add_scaled, no_lanes, weighted_sum
 from rtgs.renderer.cpu.layout import (
     BATCH,
@@ -66,7 +67,7 @@ from rtgs.renderer.settings import ALPHA_MAX, TRANSMITTANCE_MIN
 # --- forwards --------------------------------------------------------------------------------------
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_patch(batch, boxes, count, x, y, channels, state, at, alive, rows):
     """Planes from `at` on: transmittance, C colours. Returns the rows that are still alive."""
     for group in range(0, count, LANES):
@@ -95,7 +96,7 @@ def _blend_patch(batch, boxes, count, x, y, channels, state, at, alive, rows):
     return alive
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_tile(start, end, entries, splats, left, top, side, channels, image, alpha):
     """Returns how many list entries the tile needed: whole batches."""
     planes = (1 + len(channels)) * AREA
@@ -125,7 +126,7 @@ def _blend_tile(start, end, entries, splats, left, top, side, channels, image, a
     return first - start
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def blend(tile_order, threads, tile_starts, entries, splats, side, channels, image, alpha, used):
     """Fill `image` `[H, W, C]`, `alpha` `[H, W]` and `used` `[T]`, how many of its list entries a tile needed.
 
@@ -147,7 +148,7 @@ def blend(tile_order, threads, tile_starts, entries, splats, side, channels, ima
 # --- backwards -------------------------------------------------------------------------------------
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive, rows, gradients):
     """Planes from `at` on: transmittance, what remains of ∂L·colour, C + 1 image gradients (alpha last).
 
@@ -205,14 +206,14 @@ def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive,
     return alive
 
 
-@nb.njit(inline="always")
+@inlined
 def _write_slots(gradients, count, width, slot, slot_grads):
     for k in range(count):
         for q in range(width):
             slot_grads[(slot + k) * width + q] = gradients[k * LANES + q]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_tile_backward(
     start, end, entries, splats, left, top, side, channels, image, alpha, g_image, g_alpha, slot, slot_grads
 ):
@@ -253,7 +254,7 @@ def _blend_tile_backward(
         _write_slots(gradients, count, width, slot + first - start, slot_grads)
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def blend_backward(
     tile_order,
     threads,
@@ -290,7 +291,7 @@ def blend_backward(
             _blend_tile_backward(*lists, image, alpha, g_image, g_alpha, slot, slot_grads)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, at, alive, rows, gradients):
     """Planes from `at` on: transmittance, C image gradients. Adds to `gradients`, a row of `LANES` numbers a splat of the batch."""
     for group in range(0, count, LANES):
@@ -322,7 +323,7 @@ def _blend_patch_adjoint(batch, boxes, count, x, y, channels, state, at, alive, 
     return alive
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, g_image, slot, slot_grads):
     planes, width = (1 + len(channels)) * AREA, slot_width(len(channels))
     down, across = patches_of(side, top, left, g_image.shape)
@@ -346,7 +347,7 @@ def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, 
         _write_slots(gradients, count, width, slot + first - start, slot_grads)
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def blend_adjoint(tile_order, threads, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
     """Fill `slot_grads`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map of the
     colours."""
@@ -366,7 +367,7 @@ def blend_adjoint(tile_order, threads, tile_starts, entries, splats, side, chann
 # --- sideways --------------------------------------------------------------------------------------
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_patch_tangents(
     batch, boxes, count, x, y, channels, directions, entries, first, tangents, state, at, alive, rows, polynomial
 ):
@@ -423,7 +424,7 @@ def _blend_patch_tangents(
     return alive
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _blend_tile_tangents(
     start, end, entries, splats, tangents, left, top, side, channels, directions, image, alpha, d_image, d_alpha
 ):
@@ -461,7 +462,7 @@ def _blend_tile_tangents(
                 place(state, at + (1 + c) * AREA, F(1), patch_top, patch_left, d_image, j * channel_count + c)
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def blend_tangents(
     tile_order, threads, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
 ):

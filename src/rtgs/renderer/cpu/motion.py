@@ -10,6 +10,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.renderer.cpu.layout import CHUNKS, DX, DXX, DXY, DY, DYY, G_COLORS, ONE
 from rtgs.renderer.cpu.projection import (
     INPUTS,
@@ -30,13 +31,13 @@ FREEDOMS = 10  # ω, v, fl_x, fl_y, cx, cy
 _BLUR = COVARIANCE_BLUR_PX2
 
 
-@nb.njit(inline="always")
+@inlined
 def _held_slope(slope, held_slope, moving, centre_rate, focal_rate, focal):
     """Derivative of a held x/z: its own within the view, the bound's (it depends on the intrinsics) outside."""
     return where(magnitude(held_slope - slope) <= 0.0, moving, -(centre_rate + held_slope * focal_rate) / focal)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _move_group(group, rotation, translation, intrinsics, size, antialiased, directions, scratch, out):
     """Fill `out` `[K · 7 · 16]`: for each direction the polynomial of ∂ln α (see `layout`) and z′."""
     wide_x, wide_y, wide_z = camera_point(group, rotation, translation)
@@ -87,7 +88,7 @@ def _move_group(group, rotation, translation, intrinsics, size, antialiased, dir
         store(out, at + G_COLORS * LANES, z1)
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def move(
     means,
     quats,

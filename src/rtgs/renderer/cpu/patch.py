@@ -5,9 +5,9 @@ The steps that every kernel which composites has in common (see `blend`).
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.renderer.cpu.layout import (
     BATCH,
     ETA,
@@ -44,7 +44,7 @@ _SLACK_PX = 0.01  # covers the float32 rounding of a box
 _LEFT, _RIGHT, _UPPER, _LOWER = range(4)  # planes of a batch's boxes
 
 
-@nb.njit(inline="always")
+@inlined
 def aligned(n):
     """`[n]` float32 on a cache line's boundary."""
     raw = np.empty(n + 16, np.float32)
@@ -52,14 +52,14 @@ def aligned(n):
     return raw[skip : skip + n]
 
 
-@nb.njit(inline="always")
+@inlined
 def fill(state, at, value):
     """One plane of a patch."""
     for r in range(PATCH):
         store(state, at + r * PATCH, lanes_of(value))
 
 
-@nb.njit(inline="always")
+@inlined
 def fetch(source, q, top, left, state, at):
     """Channel `q` of `[H, W, C]` into a plane; zero beyond the picture."""
     fill(state, at, F(0))
@@ -68,7 +68,7 @@ def fetch(source, q, top, left, state, at):
             state[at + r * PATCH + i] = source[top + r, left + i, q]
 
 
-@nb.njit(inline="always")
+@inlined
 def place(state, at, sign, top, left, out, q):
     """A plane, times `sign`, into channel `q` of `[H, W, C]`."""
     for r in range(min(PATCH, out.shape[0] - top)):
@@ -76,20 +76,20 @@ def place(state, at, sign, top, left, out, q):
             out[top + r, left + i, q] = sign * state[at + r * PATCH + i]
 
 
-@nb.njit(inline="always")
+@inlined
 def place_alpha(state, at, top, left, alpha):
     for r in range(min(PATCH, alpha.shape[0] - top)):
         for i in range(min(PATCH, alpha.shape[1] - left)):
             alpha[top + r, left + i] = F(1) - abs(state[at + r * PATCH + i])
 
 
-@nb.njit(inline="always")
+@inlined
 def patches_of(side, top, left, shape):
     """Rows and columns of patches of a tile that lie in the picture."""
     return (min(side, shape[0] - top) + PATCH - 1) // PATCH, (min(side, shape[1] - left) + PATCH - 1) // PATCH
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def load_batch(entries, first, count, splats, left, top, batch, boxes):
     """Copy `count` splats, centres from the tile's corner, and take their bounding boxes as planes `[4 · BATCH]`."""
     planes = np.empty(6 * LANES, np.float32)
@@ -113,7 +113,7 @@ def load_batch(entries, first, count, splats, left, top, batch, boxes):
         store(boxes, _LOWER * BATCH + group, y + half_y)
 
 
-@nb.njit(inline="always")
+@inlined
 def candidates(boxes, group, count, x, y):
     """Which of sixteen splats of the batch have a box that meets the patch at (x, y) of the tile, as bits."""
     left, right = load(boxes, _LEFT * BATCH + group), load(boxes, _RIGHT * BATCH + group)
@@ -122,7 +122,7 @@ def candidates(boxes, group, count, x, y):
     return mask_bits(meets) & ((1 << min(LANES, count - group)) - 1)
 
 
-@nb.njit(inline="always")
+@inlined
 def rows_reached(batch, s, x, y, alive, rows):
     """Which rows of the patch the splat reaches, as bits; `rows` gets each row's middle and q there.
 
@@ -137,7 +137,7 @@ def rows_reached(batch, s, x, y, alive, rows):
     return mask_bits(q - beyond * beyond * batch[s + ETA] >= F(LOG2_ALPHA_MIN)) & alive
 
 
-@nb.njit(inline="always")
+@inlined
 def opacity(rows, r, eta):
     """α at the sixteen pixels of row `r`; zero where it is under 1/255."""
     d = lane_numbers() + F(0.5) - rows[r]
@@ -145,7 +145,7 @@ def opacity(rows, r, eta):
     return where(q >= F(LOG2_ALPHA_MIN), minimum(exp2_below_one(q), F(ALPHA_MAX)), F(0))
 
 
-@nb.njit(inline="always")
+@inlined
 def still_alive(state, at, alive):
     """`alive` without the rows whose pixels are all finished; `at` is the plane of transmittances."""
     for r in range(PATCH):
@@ -154,7 +154,7 @@ def still_alive(state, at, alive):
     return alive
 
 
-@nb.njit(inline="always")
+@inlined
 def time_to_look(group):
     """Finished rows are looked for after every 64 splats of the batch."""
     return group & 63 == 48

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.renderer.cpu.layout import (
     CHUNKS,
     COLORS,
@@ -62,13 +63,13 @@ MEAN, QUAT, LOG_SCALE, LOGIT, OFFSET = 0, 3, 7, 10, 11
 INPUTS = 13
 
 
-@nb.njit(inline="always")
+@inlined
 def slot_width(numbers):
     """Length of a row of `slot_grads` that holds so many numbers: whole quarters of a register."""
     return (numbers + 3) // 4 * 4
 
 
-@nb.njit(inline="always")
+@inlined
 def gather(lane, i, means, quats, log_scales, opacity_logits, offsets, group):
     for k in range(3):
         group[(MEAN + k) * LANES + lane] = means[i, k]
@@ -80,17 +81,17 @@ def gather(lane, i, means, quats, log_scales, opacity_logits, offsets, group):
     group[(OFFSET + 1) * LANES + lane] = offsets[i, 1] if len(offsets) > 0 else F(0)
 
 
-@nb.njit(inline="always")
+@inlined
 def plane(group, k):
     return load(group, k * LANES)
 
 
-@nb.njit(inline="always")
+@inlined
 def wide(group, k):
     return widen(load(group, k * LANES))
 
 
-@nb.njit(inline="always")
+@inlined
 def camera_point(group, rotation, translation):
     """The centres in camera coordinates, float64."""
     x, y, z = widen(plane(group, MEAN)), widen(plane(group, MEAN + 1)), widen(plane(group, MEAN + 2))
@@ -101,7 +102,7 @@ def camera_point(group, rotation, translation):
     )
 
 
-@nb.njit(inline="always")
+@inlined
 def camera_square_root(group, rotation, m, v):
     """Fill M and V, `[9 · 16]` each, row by row; return 1/|q|."""
     w, x, y, z = plane(group, QUAT), plane(group, QUAT + 1), plane(group, QUAT + 2), plane(group, QUAT + 3)
@@ -131,14 +132,14 @@ def camera_square_root(group, rotation, m, v):
     return inverse
 
 
-@nb.njit(inline="always")
+@inlined
 def held(slope, centre, focal, size):
     """x/z or y/z held within the view plus a margin."""
     margin = FRUSTUM_MARGIN * 0.5 * size / focal
     return minimum(maximum(slope, -centre / focal - margin), (size - centre) / focal + margin)
 
 
-@nb.njit(inline="always")
+@inlined
 def image_square_root(v, jx, jy, sx, sy, u):
     """Fill U `[6 · 16]`, row by row."""
     for j in range(3):
@@ -146,7 +147,7 @@ def image_square_root(v, jx, jy, sx, sy, u):
         store(u, (3 + j) * LANES, jy * (plane(v, 3 + j) - sy * plane(v, 6 + j)))
 
 
-@nb.njit(inline="always")
+@inlined
 def covariance(u):
     """a, b, c and the determinant ac − b² of U·Uᵀ, float64; the determinant as the sum of U's squared minors."""
     x0, x1, x2, y0, y1, y2 = wide(u, 0), wide(u, 1), wide(u, 2), wide(u, 3), wide(u, 4), wide(u, 5)
@@ -159,7 +160,7 @@ def covariance(u):
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _project_group(group, rotation, translation, intrinsics, size, near, blur, antialiased, scratch, out, centres):
     """Fill `out`: SLANT … LOG2_OPACITY and the pixel rectangle; `centres` (x, y, low parts); z. Returns the visible lanes as bits."""
     x, y, z = camera_point(group, rotation, translation)
@@ -209,7 +210,7 @@ def _project_group(group, rotation, translation, intrinsics, size, near, blur, a
     return deep & finite & mask_bits((opacity > ALPHA_MIN) & in_view & (left <= right) & (upper <= lower))
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def project(
     means,
     quats,
@@ -266,7 +267,7 @@ def project(
                 tiles[i] = columns * rows
 
 
-@nb.njit(inline="always")
+@inlined
 def _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width):
     """The sum of a Gaussian's slots, a row of `width` numbers each (lanes beyond it are noise), and how many there were.
 
@@ -285,7 +286,7 @@ def _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, s
     return sums, found
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _pull_back_group(group, moments, rotation, translation, intrinsics, size, antialiased, scratch, out, pose):
     """Gradients of sixteen Gaussians from their moments.
 
@@ -383,7 +384,7 @@ def _pull_back_group(group, moments, rotation, translation, intrinsics, size, an
     store(out, (QUAT + 3) * LANES, (dqz - radial * qz) * inverse_norm)
 
 
-@nb.njit(inline="always")
+@inlined
 def _scatter(lane, i, out, g_means, g_quats, g_log_scales, g_opacity_logits, g_offsets):
     for k in range(3):
         g_means[i, k] = out[(MEAN + k) * LANES + lane]
@@ -396,7 +397,7 @@ def _scatter(lane, i, out, g_means, g_quats, g_log_scales, g_opacity_logits, g_o
         g_offsets[i, 1] = out[(OFFSET + 1) * LANES + lane]
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def project_backward(
     means,
     quats,
@@ -464,7 +465,7 @@ def project_backward(
             g_pose[chunk, k] = total(load(pose, k * LANES))
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def gather_colors(boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, g_colors):
     """Sum each splat's colour gradients over its tiles: `slot_grads` has rows of `slot_width(C)`, `g_colors` `[N, C]` is overwritten."""
     n, width = len(g_colors), slot_width(g_colors.shape[1])

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.maths.sh import C0, C1, C2, C3
 from rtgs.renderer.cpu.layout import CHUNKS
 from rtgs.renderer.cpu.simd import LANES, lanes_of, load, maximum, narrow, square_root, store, total, widen
@@ -13,7 +14,7 @@ from rtgs.renderer.cpu.simd import LANES, lanes_of, load, maximum, narrow, squar
 F = np.float32
 
 
-@nb.njit(inline="always")
+@inlined
 def _directions(first, count, means, centre, group):
     """Unit vectors from the camera to sixteen Gaussians, and 1 / distance; a lane beyond `count` repeats the last."""
     for lane in range(LANES):
@@ -29,7 +30,7 @@ def _directions(first, count, means, centre, group):
     return x * inverse, y * inverse, z * inverse, inverse
 
 
-@nb.njit(inline="always")
+@inlined
 def _fill_basis(x, y, z, k, out):
     """The first `k` basis functions (see `rtgs.sh.basis`), a plane of lanes each."""
     store(out, 0, lanes_of(F(C0)))
@@ -55,7 +56,7 @@ def _fill_basis(x, y, z, k, out):
         store(out, 15 * LANES, C3[6] * (x * (xx - 3.0 * yy)))
 
 
-@nb.njit(inline="always")
+@inlined
 def _basis_slope(x, y, z, k, g):
     """Σ_j g_j ∂basis_j/∂(x, y, z), the direction's components taken as free; `g` has a plane of lanes a function."""
     dx, dy, dz = lanes_of(F(0)), lanes_of(F(0)), lanes_of(F(0))
@@ -80,7 +81,7 @@ def _basis_slope(x, y, z, k, g):
     return dx, dy, dz
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+@kernel("fused", parallel=True)
 def evaluate(means, sh, centre, colors):
     """Fill `colors` `[N, C]` with max(0, ½ + basis · sh)."""
     n, k, channels = len(means), sh.shape[1], sh.shape[2]
@@ -110,7 +111,7 @@ def evaluate(means, sh, centre, colors):
                     colors[i, q] = max(sums[q], F(0))
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+@kernel("fused", parallel=True)
 def evaluate_backward(means, sh, centre, colors, g_colors, directional, g_sh, g_means, g_centre):
     """Fill `g_sh` `[N, K, C]` and, where `directional`, `g_means` `[N, 3]` (zero on entry) and `g_centre` `[CHUNKS, 3]`.
 
@@ -164,7 +165,7 @@ def evaluate_backward(means, sh, centre, colors, g_colors, directional, g_sh, g_
         g_centre[chunk, 0], g_centre[chunk, 1], g_centre[chunk, 2] = at_x, at_y, at_z
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+@kernel("fused", parallel=True)
 def mixed_colors_and_slopes(means, sh, centre, mixing, colors, slopes):
     """Weighted sums of the colours, and how they change with the camera's centre.
 

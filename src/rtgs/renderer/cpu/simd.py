@@ -15,12 +15,13 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import njit
 from numba.core import cgutils, types
 from numba.core.datamodel import models
 from numba.core.extending import intrinsic, register_model
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+
+from rtgs.base.compiled import inlined
 
 LANES = 16
 FLAGS = ("contract", "nsz")  # a·b + c may be fused, −0 is 0; sums keep their order and NaN stays NaN
@@ -467,7 +468,7 @@ _ABOUT = (1.0, 0.6931472067028327, 0.24022650922288527, 0.0555032722667, 0.00961
 _LOG2_E = 1.4426950408889634
 
 
-@njit(inline="always")
+@inlined
 def exp2_below_one(t):
     """2^t for −126 < t ≤ 0; other lanes are undefined, not trapped."""
     n = truncate_to_int(t)
@@ -476,7 +477,7 @@ def exp2_below_one(t):
     return scale_by_power_of_two(p, n)
 
 
-@njit(inline="always")
+@inlined
 def exponential(x):
     """e^x, float32: held within the normal numbers, 1e-38 to 1e38."""
     t = minimum(maximum(x * _LOG2_E, -126.0), 126.0)
@@ -486,7 +487,7 @@ def exponential(x):
     return scale_by_power_of_two(p, truncate_to_int(n))
 
 
-@njit(inline="always")
+@inlined
 def log2(a):
     """log₂ of positive normal numbers: exponent, and the artanh series of the mantissa within [1/√2, √2]; 1e-7 absolute below 8."""
     e, m = exponent(a), mantissa(a)

@@ -9,6 +9,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.compiled import kernel
 from rtgs.records.camera import Camera
 from rtgs.renderer.cpu import projection, tiles
 from rtgs.renderer.cpu.blend import blend, blend_adjoint, blend_backward
@@ -29,7 +30,7 @@ def _rows_of_slots(rows: int, numbers: int) -> NDArray[np.float32]:
     return slots
 
 
-@nb.njit(cache=True)
+@kernel()
 def _set_colors(tiles: NDArray[np.int32], colors: NDArray[np.float32], rows: NDArray[np.float32]) -> None:
     for i in range(len(tiles)):
         if tiles[i] > 0:

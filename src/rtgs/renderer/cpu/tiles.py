@@ -11,12 +11,14 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.compiled import kernel
+
 _BLOCKS = 16
 _PADDING = 16  # entries that `blend` may look ahead
 _DIGIT_BITS = 12
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def depth_order(depths, tiles):
     """Visible Gaussians (`tiles` > 0) by rising depth, equals in model order, `[V]` int32; and the running sum of `tiles`, `[N + 1]`.
 
@@ -65,7 +67,7 @@ def depth_order(depths, tiles):
     return order, starts
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def _bin(order, boxes, pair_starts, tiles_x, tile_count, total):
     counts = np.zeros((_BLOCKS, tile_count), np.int32)
     for block in nb.prange(_BLOCKS):

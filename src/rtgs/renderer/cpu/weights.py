@@ -15,6 +15,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.renderer.cpu.channels import REGISTERS, SUMMED, add_products, add_weighted, load_all, no_lanes, store_all
 from rtgs.renderer.cpu.layout import BATCH, ETA, PATCH, SPLAT, X, Y
 from rtgs.renderer.cpu.patch import (
@@ -58,13 +59,13 @@ LINE = 32  # weights in a cache line
 AHEAD = 32  # meetings whose weights are asked for before their turn, where sums are added to here and there in between
 
 
-@nb.njit(inline="always")
+@inlined
 def _blocks_of(shape):
     """How many there are down and across."""
     return (shape[0] + BLOCK - 1) // BLOCK, (shape[1] + BLOCK - 1) // BLOCK
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _meet(splat, met, one, where_to, keep, splats, weights):
     """A splat's meetings with a patch's four blocks: with those that `met` has eight bits other than 0 for. `one`: its weights there.
 
@@ -84,7 +85,7 @@ def _meet(splat, met, one, where_to, keep, splats, weights):
                     copy_half(weights, m * PIXELS + r * BLOCK, one, (r + BLOCK * (q // 2)) * LANES + BLOCK * (q % 2))
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _weigh_patch(batch, boxes, count, x, y, state, at, alive, rows, one, entries, where_to, keep, splats, weights):
     """One plane at `at`: transmittance. `one`: room for one splat's weights, all 0. `where_to`: see `_meet`. Returns the rows that are
     still alive."""
@@ -124,7 +125,7 @@ def _weigh_patch(batch, boxes, count, x, y, state, at, alive, rows, one, entries
     return alive
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _weigh_background(state, at, one, where_to, keep, splats, weights):
     """What the transmittances at `at` leave of it: something in every block, since compositing ends before they are 0."""
     for r in range(PATCH):
@@ -132,7 +133,7 @@ def _weigh_background(state, at, one, where_to, keep, splats, weights):
     _meet(BACKGROUND, -1, one, where_to, keep, splats, weights)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _weigh_tile(start, end, entries, splat_rows, left, top, side, alpha, ends, keep, splats, weights):
     """Returns how many list entries the tile needed: whole batches."""
     down, across = patches_of(side, top, left, alpha.shape)
@@ -162,7 +163,7 @@ def _weigh_tile(start, end, entries, splat_rows, left, top, side, alpha, ends, k
     return first - start
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@kernel(parallel=True)
 def _weigh(tile_order, threads, tile_starts, entries, splat_rows, side, alpha, used, ends, keep, splats, weights):
     """Fill `alpha` and `used` as `blend` does, and add each block's meetings to `ends` `[B]`; with `keep`, which begins where `ends`
     says, write them too."""
@@ -179,7 +180,7 @@ def _weigh(tile_order, threads, tile_starts, entries, splat_rows, side, alpha, u
             used[tile] = _weigh_tile(*which, ends, keep, splats, weights)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel()
 def _renumbered(splats, gaussians):
     """The Gaussians with a meeting `[V]`, and splats as their places among these, V for the background."""
     place = np.zeros(gaussians, np.int32)
@@ -194,7 +195,7 @@ def _renumbered(splats, gaussians):
     return seen
 
 
-@nb.njit(inline="always")
+@inlined
 def _fetch(image, top, left, state):
     """A block of `[C, H, W]`; zero beyond the picture."""
     channels, height, width = image.shape
@@ -209,7 +210,7 @@ def _fetch(image, top, left, state):
                     state[at + i] = flat[start + i] if top + r < height and left + i < width else F(0)
 
 
-@nb.njit(inline="always")
+@inlined
 def _place(state, top, left, image):
     """The block into `[C, H, W]`."""
     channels, height, width = image.shape
@@ -224,7 +225,7 @@ def _place(state, top, left, image):
                     flat[start + i] = state[at + i]
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel(concurrent=True)
 def _image(starts, splats, weights, seen, registers, across, colors, background, image):
     """`image` `[C, H, W]` of colors `[N, C]` and background `[C]`. `across`: blocks. `registers`: a tuple as long as what a block's
     pixels fill of them."""
@@ -242,7 +243,7 @@ def _image(starts, splats, weights, seen, registers, across, colors, background,
         _place(state, block // across * BLOCK, block % across * BLOCK, image)
 
 
-@nb.njit(inline="always")
+@inlined
 def _taken(sums, at):
     """The sum that is kept in `SUMMED` parts, which are 0 from here on."""
     total = 0.0
@@ -252,7 +253,7 @@ def _taken(sums, at):
     return total
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel(concurrent=True)
 def _adjoint(starts, splats, weights, seen, registers, across, image, colors, background):
     """The transpose, into colors `[N, C]`, where they are not 0, and background `[C]`, in float64."""
     channels = len(image)
