@@ -111,7 +111,7 @@ def work(model: Gaussians, camera: Camera, camera_from_world: SE3, tile: int) ->
     """Composite in float64 by the reference's rules, and count. `tile`: pixels a side of the tiles that `entries` are counted in."""
     double = model.to(torch.float64)
     pose = camera_from_world.to_torch(torch.float64)
-    centres, covariances, depths = reference.project(double.means, double.quats, double.log_scales, camera, pose)
+    centres, covariances, depths = reference.project(double.geometry, camera, pose)
     opacities = torch.sigmoid(double.opacity_logits)
     seen = torch.nonzero((depths > RenderSettings().near_plane) & (opacities > ALPHA_MIN))[:, 0]
     order = seen[torch.argsort(depths[seen], stable=True)]

@@ -38,7 +38,7 @@ def test_counts_are_the_references_pairs(load) -> None:
 
     double = model.to(torch.float64)
     moving = pose.to_torch(torch.float64)
-    centres, covariances, depths = reference.project(double.means, double.quats, double.log_scales, camera, moving)
+    centres, covariances, depths = reference.project(double.geometry, camera, moving)
     order = torch.argsort(depths)
     conics = torch.linalg.inv(covariances + COVARIANCE_BLUR_PX2 * torch.eye(2))[order]
     ys, xs = torch.meshgrid(torch.arange(24.0) + 0.5, torch.arange(40.0) + 0.5, indexing="ij")

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+
+
+class Geometry(NamedTuple):
+    """Where N Gaussians are and what they cover, without their colours; fields as in `Gaussians`."""
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    opacity_logits: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +38,10 @@ class Gaussians:
 
     def __len__(self) -> int:
         return self.means.shape[0]
+
+    @property
+    def geometry(self) -> Geometry:
+        return Geometry(self.means, self.quats, self.log_scales, self.opacity_logits)
 
     @property
     def sh_degree(self) -> int:

@@ -18,8 +18,9 @@ from torch import Tensor
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
+from rtgs.records.gaussians import Geometry
 from rtgs.renderer import reference
-from rtgs.renderer.settings import COVARIANCE_BLUR_PX2
+from rtgs.renderer.settings import COVARIANCE_BLUR_PX2, RenderSettings
 
 TILE_PX = 16  # gsplat tests no other
 
@@ -31,16 +32,11 @@ def colors_from_sh(means: Tensor, coefficients: Tensor, camera_centre: Tensor) -
 
 
 def rasterize(
-    means: Tensor,
-    quats: Tensor,
-    log_scales: Tensor,
-    opacity_logits: Tensor,
+    geometry: Geometry,
     colors: Tensor,
     camera: Camera,
     camera_from_world: SE3,
-    *,
-    near_plane: float,
-    antialiased: bool,
+    settings: RenderSettings,
     pixel_offsets: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Image `[H, W, C]`, alpha `[H, W]` and visible `[N]`; see `reference.rasterize`.
@@ -51,6 +47,7 @@ def rasterize(
     Raises:
         RtgsError: the tensors are not on a CUDA device, or gsplat or its kernels are missing.
     """
+    means, quats, log_scales, opacity_logits = geometry
     _require_gpu(means.device)
     gsplat = _gsplat()
     width, height, device = camera.width, camera.height, means.device
@@ -75,15 +72,15 @@ def rasterize(
         height,
         eps2d=COVARIANCE_BLUR_PX2,
         # gsplat keeps what lies on its near plane, the reference does not.
-        near_plane=float(np.nextafter(np.float32(near_plane), np.float32(np.inf))),
+        near_plane=float(np.nextafter(np.float32(settings.near_plane), np.float32(np.inf))),
         far_plane=math.inf,
         packed=False,
-        calc_compensations=antialiased,
+        calc_compensations=settings.antialiased,
         camera_model="pinhole",
         opacities=opacities,  # for the extents; their gradient comes from the blending
     )
     # What is culled has radius 0 and holds unwritten memory elsewhere: nothing below may multiply by it.
-    opacities = opacities[None] * compensations if antialiased else opacities[None]
+    opacities = opacities[None] * compensations if settings.antialiased else opacities[None]
     if pixel_offsets is not None:
         centres = centres + pixel_offsets.float()[None]
     tiles_x, tiles_y = math.ceil(width / TILE_PX), math.ceil(height / TILE_PX)

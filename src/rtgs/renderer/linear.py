@@ -19,6 +19,7 @@ from rtgs.maths.planes import products
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import cpu, reference
+from rtgs.renderer.cpu.arguments import Model, View
 from rtgs.renderer.cpu.splats import Splats
 from rtgs.renderer.cpu.weights import Survey, Weights
 from rtgs.renderer.settings import RenderSettings
@@ -162,15 +163,9 @@ class _Cpu:
         every: int,
     ) -> None:
         cpu.check_channels(channels)
-        model = tuple(
-            np.ascontiguousarray(t.detach().numpy(), dtype=np.float32)
-            for t in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits)
-        )
-        matrix = camera_from_world.matrix()
-        pose = (np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]))
         nothing, black = np.empty((0, 2), np.float32), np.zeros((len(gaussians), channels), np.float32)
-        rows = camera.rows(every)
-        splats = Splats.of(model, nothing, black, rows, pose, settings.near_plane, settings.antialiased, every)  # type: ignore[arg-type]
+        model, view = Model.of(gaussians.geometry), View.of(camera.rows(every), camera_from_world)
+        splats = Splats.of(model, nothing, black, view, settings.near_plane, settings.antialiased, every)
         self._map: Splats | Weights = splats
         self._shown: tuple[NDArray[np.float32], NDArray[np.int64]] | None = None  # alpha, and what `Splats.adjoint` needs
         self.visible = np.flatnonzero(splats.tiles).astype(np.int32)
@@ -192,9 +187,9 @@ class _Cpu:
             return torch.from_numpy(self._map.image(numbers, behind))
         splats = replace(self._map, channels=colors.shape[1])
         splats.set_colors(numbers)
-        image, alpha, used = splats.blend()
-        self._shown = alpha, used
-        return torch.from_numpy(image).addcmul_(1.0 - self.alpha[..., None], torch.from_numpy(behind))
+        picture = splats.blend()
+        self._shown = picture.alpha, picture.used
+        return torch.from_numpy(picture.image).addcmul_(1.0 - self.alpha[..., None], torch.from_numpy(behind))
 
     def adjoint(self, image: Tensor) -> tuple[Tensor, Tensor]:
         if isinstance(self._map, Weights):
@@ -240,17 +235,7 @@ class _Reference:
         self._colors = torch.zeros(len(frozen), channels, dtype=frozen.means.dtype)
 
         def draw(colors: Tensor) -> tuple[Tensor, Tensor]:
-            color, alpha, _ = reference.rasterize(
-                frozen.means,
-                frozen.quats,
-                frozen.log_scales,
-                frozen.opacity_logits,
-                colors,
-                camera,
-                pose,
-                near_plane=settings.near_plane,
-                antialiased=settings.antialiased,
-            )
+            color, alpha, _ = reference.rasterize(frozen.geometry, colors, camera, pose, settings)
             return color[every // 2 :: every], alpha[every // 2 :: every]
 
         self._draw = draw

@@ -11,15 +11,8 @@ from torch import Tensor
 from rtgs.maths import sh
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
-from rtgs.renderer.settings import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    COVARIANCE_BLUR_PX2,
-    FRUSTUM_MARGIN,
-    TRANSMITTANCE_MIN,
-)
-
-_PIXELS_AT_ONCE = 1 << 24  # pixel–Gaussian pairs held in memory together
+from rtgs.records.gaussians import Geometry
+from rtgs.renderer.settings import ALPHA_MAX, COVARIANCE_BLUR_PX2, FRUSTUM_MARGIN, CutOffs, RenderSettings
 
 
 def rotation_from_quats(quats: Tensor) -> Tensor:
@@ -48,14 +41,9 @@ def colors_from_sh(means: Tensor, coefficients: Tensor, camera_centre: Tensor) -
     return torch.clamp_min(torch.einsum("nk,nkc->nc", sh.basis(directions, degree), coefficients) + 0.5, 0.0)
 
 
-def project(
-    means: Tensor,
-    quats: Tensor,
-    log_scales: Tensor,
-    camera: Camera,
-    camera_from_world: SE3,
-) -> tuple[Tensor, Tensor, Tensor]:
+def project(geometry: Geometry, camera: Camera, camera_from_world: SE3) -> tuple[Tensor, Tensor, Tensor]:
     """Centres `[N, 2]` in pixels, covariances `[N, 2, 2]` in px² (no blur yet), depths `[N]`."""
+    means, quats, log_scales, _ = geometry
     in_camera = means @ camera_from_world.rotation.T + camera_from_world.translation
     x, y, z = in_camera.unbind(-1)
     z = torch.where(z > 0, z, torch.ones_like(z))  # culled by the caller; keeps 0 and NaN out of the gradients
@@ -70,31 +58,31 @@ def project(
 
 
 def rasterize(
-    means: Tensor,
-    quats: Tensor,
-    log_scales: Tensor,
-    opacity_logits: Tensor,
+    geometry: Geometry,
     colors: Tensor,
     camera: Camera,
     camera_from_world: SE3,
-    *,
-    near_plane: float,
-    antialiased: bool,
+    settings: RenderSettings,
     pixel_offsets: Tensor | None = None,
-    alpha_min: float = ALPHA_MIN,
-    transmittance_min: float = TRANSMITTANCE_MIN,
+    *,
+    cut_offs: CutOffs | None = None,
+    pairs_at_once: int = 1 << 24,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Composite front to back.
 
     Args:
         colors: `[N, C]`.
+        settings: near plane and anti-aliasing count.
         pixel_offsets: `[N, 2]`, added to the projected centres: their gradient is the screen-space gradient.
-        alpha_min, transmittance_min: the two cut-offs; zero makes the picture differentiable everywhere.
+        cut_offs: the package's unless given.
+        pairs_at_once: pixel–Gaussian pairs held in memory together.
 
     Returns:
         image `[H, W, C]`, alpha `[H, W]` and visible `[N]`.
     """
-    centres, covariances, depths = project(means, quats, log_scales, camera, camera_from_world)
+    cut_offs = cut_offs or CutOffs()
+    alpha_min, opacity_logits, dtype = cut_offs.alpha, geometry.opacity_logits, geometry.means.dtype
+    centres, covariances, depths = project(geometry, camera, camera_from_world)
     if pixel_offsets is not None:
         centres = centres + pixel_offsets
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
@@ -102,14 +90,14 @@ def rasterize(
     a, c = a + COVARIANCE_BLUR_PX2, c + COVARIANCE_BLUR_PX2
     det = a * c - b * b
     opacities = torch.sigmoid(opacity_logits)
-    if antialiased:
+    if settings.antialiased:
         opacities = opacities * torch.sqrt(torch.clamp(det_sharp / det, min=1e-12))
 
     # What cannot reach the image is left out before sorting.
     reach = torch.sqrt(2 * torch.log(torch.clamp(opacities / max(alpha_min, 1e-30), min=1.0)))
     half_x, half_y = reach * torch.sqrt(a), reach * torch.sqrt(c)
     visible = (
-        (depths > near_plane)
+        (depths > settings.near_plane)
         & (opacities > alpha_min)
         & torch.isfinite(det)
         & (centres[:, 0] + half_x > 0.5)
@@ -123,18 +111,18 @@ def rasterize(
     opacities, colors = opacities[order], colors[order]
 
     ys, xs = torch.meshgrid(
-        torch.arange(camera.height, dtype=means.dtype) + 0.5, torch.arange(camera.width, dtype=means.dtype) + 0.5, indexing="ij"
+        torch.arange(camera.height, dtype=dtype) + 0.5, torch.arange(camera.width, dtype=dtype) + 0.5, indexing="ij"
     )
     pixels = torch.stack([xs, ys], -1).reshape(-1, 2)
     out = []
-    for block in pixels.split(max(1, _PIXELS_AT_ONCE // max(1, len(order)))):
+    for block in pixels.split(max(1, pairs_at_once // max(1, len(order)))):
         d = centres[None] - block[:, None]  # [P, N, 2]
         power = (0.5 * (c * d[..., 0] ** 2 + a * d[..., 1] ** 2) - b * d[..., 0] * d[..., 1]) / det
         alpha = torch.clamp_max(opacities * torch.exp(-power), ALPHA_MAX)
         alpha = torch.where(alpha >= alpha_min, alpha, torch.zeros_like(alpha))
         after = torch.cumprod(1 - alpha, dim=1)
         before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
-        weights = torch.where(after > transmittance_min, alpha * before, torch.zeros_like(alpha))
+        weights = torch.where(after > cut_offs.transmittance, alpha * before, torch.zeros_like(alpha))
         out.append(torch.cat([weights @ colors, weights.sum(1, keepdim=True)], dim=1))
     image = torch.cat(out).reshape(camera.height, camera.width, -1)
     return image[..., :-1], image[..., -1], visible

@@ -18,6 +18,19 @@ Backend = Literal["cpu", "cuda", "reference"]
 
 
 @dataclass(frozen=True)
+class CutOffs:
+    """Where compositing leaves something out. Only the reference can be given others; at zero its picture is differentiable everywhere.
+
+    Attributes:
+        alpha: a Gaussian fainter than this at a pixel does not count there.
+        transmittance: a pixel that would let through less than this is finished.
+    """
+
+    alpha: float = ALPHA_MIN
+    transmittance: float = TRANSMITTANCE_MIN
+
+
+@dataclass(frozen=True)
 class RenderSettings:
     """How to render.
 

@@ -96,18 +96,13 @@ def render_with_tangents(
         mixing = np.eye(gaussians.channels) if weights is None else np.array([weights])
         ways = np.stack([d.array() for d in directions])
         image, alpha, d_image, d_alpha, visible = cpu.rasterize_with_tangents(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.log_scales,
-            gaussians.opacity_logits,
+            gaussians.geometry,
             active_sh(gaussians, settings),
             mixing,
             camera,
             camera_from_world.to_torch(gaussians.means.dtype),
             ways,
-            near_plane=settings.near_plane,
-            antialiased=settings.antialiased,
-            with_depth=settings.with_depth,
+            settings,
         )
     if not settings.with_depth:
         return Render(image, alpha, None, visible), Tangents(d_image, d_alpha, None)

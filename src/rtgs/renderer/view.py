@@ -52,18 +52,7 @@ def render(
     if settings.with_depth:  # depth is one more channel
         depths = gaussians.means @ pose.rotation[2] + pose.translation[2]
         colors = torch.cat([colors, depths[:, None]], dim=1)
-    image, alpha, visible = backend.rasterize(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.log_scales,
-        gaussians.opacity_logits,
-        colors,
-        camera,
-        pose,
-        near_plane=settings.near_plane,
-        antialiased=settings.antialiased,
-        pixel_offsets=pixel_offsets,
-    )
+    image, alpha, visible = backend.rasterize(gaussians.geometry, colors, camera, pose, settings, pixel_offsets)
     if settings.with_depth:
         return Render(image[..., :-1], alpha, image[..., -1], visible)
     return Render(image, alpha, None, visible)

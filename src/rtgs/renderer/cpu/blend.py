@@ -127,11 +127,12 @@ def _blend_tile(start, end, entries, splats, left, top, side, channels, image, a
 
 
 @kernel(parallel=True)
-def blend(tile_order, threads, tile_starts, entries, splats, side, channels, image, alpha, used):
+def blend(lists, channels, image, alpha, used):
     """Fill `image` `[H, W, C]`, `alpha` `[H, W]` and `used` `[T]`, how many of its list entries a tile needed.
 
     `channels` is a tuple of length C: its type carries C into the compiled code.
     """
+    tile_order, threads, tile_starts, entries, splats, side = lists
     across = (image.shape[1] + side - 1) // side
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
@@ -255,28 +256,14 @@ def _blend_tile_backward(
 
 
 @kernel(parallel=True)
-def blend_backward(
-    tile_order,
-    threads,
-    tile_starts,
-    entries,
-    splats,
-    side,
-    channels,
-    image,
-    alpha,
-    used,
-    g_image,
-    g_alpha,
-    slot_starts,
-    slot_grads,
-):
-    """Fill `slot_grads`, rows of `slot_width(6 + C)`: the gradient of each list entry that was used, from its own tile.
+def blend_backward(lists, channels, image, alpha, g_image, g_alpha, slots):
+    """Fill the grads of `slots`, rows of `slot_width(6 + C)`.
 
     Args:
-        alpha, g_alpha: `[H, W, 1]`. g_image: `[H, W, C]`.
-        slot_starts: `[T]`, where each tile's entries begin in `slot_grads`.
+        image, g_image: `[H, W, C]`. alpha, g_alpha: `[H, W, 1]`.
     """
+    tile_order, threads, tile_starts, entries, splats, side = lists
+    used, slot_starts, slot_grads = slots
     across = (image.shape[1] + side - 1) // side
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
@@ -287,8 +274,8 @@ def blend_backward(
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
             start, slot = tile_starts[tile], slot_starts[tile]
-            lists = (start, start + used[tile], entries, splats, left, top, side, channels)
-            _blend_tile_backward(*lists, image, alpha, g_image, g_alpha, slot, slot_grads)
+            its_list = (start, start + used[tile], entries, splats, left, top, side, channels)
+            _blend_tile_backward(*its_list, image, alpha, g_image, g_alpha, slot, slot_grads)
 
 
 @kernel()
@@ -348,9 +335,11 @@ def _blend_tile_adjoint(start, end, entries, splats, left, top, side, channels, 
 
 
 @kernel(parallel=True)
-def blend_adjoint(tile_order, threads, tile_starts, entries, splats, side, channels, used, g_image, slot_starts, slot_grads):
-    """Fill `slot_grads`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map of the
-    colours."""
+def blend_adjoint(lists, channels, g_image, slots):
+    """Fill the grads of `slots`, rows of `slot_width(C)`, with the colours' gradients alone: the transpose of `blend` as a linear map
+    of the colours."""
+    tile_order, threads, tile_starts, entries, splats, side = lists
+    used, slot_starts, slot_grads = slots
     across = (g_image.shape[1] + side - 1) // side
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
@@ -463,15 +452,14 @@ def _blend_tile_tangents(
 
 
 @kernel(parallel=True)
-def blend_tangents(
-    tile_order, threads, tile_starts, entries, splats, tangents, side, channels, directions, image, alpha, d_image, d_alpha
-):
+def blend_tangents(lists, tangents, channels, directions, image, alpha, d_image, d_alpha):
     """`blend`, and its tangents `d_image` `[H, W, K·C]`, `d_alpha` `[H, W, K]`.
 
     Args:
         tangents: `[N · K · (6 + C)]`, of each splat in each direction (see `layout`).
         channels, directions: tuples of length C and K.
     """
+    tile_order, threads, tile_starts, entries, splats, side = lists
     across = (image.shape[1] + side - 1) // side
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
@@ -482,5 +470,5 @@ def blend_tangents(
             tile = tile_order[n]
             left, top = tile % across * side, tile // across * side
             start, end = tile_starts[tile], tile_starts[tile + 1]
-            lists = (start, end, entries, splats, tangents, left, top, side, channels, directions)
-            _blend_tile_tangents(*lists, image, alpha, d_image, d_alpha)
+            its_list = (start, end, entries, splats, tangents, left, top, side, channels, directions)
+            _blend_tile_tangents(*its_list, image, alpha, d_image, d_alpha)

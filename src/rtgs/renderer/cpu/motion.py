@@ -89,23 +89,7 @@ def _move_group(group, rotation, translation, intrinsics, size, antialiased, dir
 
 
 @kernel(parallel=True)
-def move(
-    means,
-    quats,
-    log_scales,
-    opacity_logits,
-    rotation,
-    translation,
-    intrinsics,
-    size,
-    antialiased,
-    tiles,
-    directions,
-    color_slopes,
-    centre_rates,
-    with_depth,
-    tangents,
-):
+def move(model, view, antialiased, tiles, directions, color_slopes, centre_rates, with_depth, tangents):
     """Fill `tangents` `[N · K · (6 + C)]` for visible Gaussians (`tiles` > 0).
 
     Args:
@@ -114,6 +98,8 @@ def move(
         centre_rates: `[K, 3]`, how the camera's centre moves in the world.
         with_depth: the last of the C colours is z.
     """
+    means, quats, log_scales, opacity_logits = model
+    rotation, translation, intrinsics, size = view
     n, ways, colors = len(means), len(directions), color_slopes.shape[1]
     width = G_COLORS + colors + (1 if with_depth else 0)
     nothing = np.empty((0, 2), np.float32)

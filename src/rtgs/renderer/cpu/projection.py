@@ -71,6 +71,7 @@ def slot_width(numbers):
 
 @inlined
 def gather(lane, i, means, quats, log_scales, opacity_logits, offsets, group):
+    """Copy Gaussian `i` into a lane of the group's planes."""
     for k in range(3):
         group[(MEAN + k) * LANES + lane] = means[i, k]
         group[(LOG_SCALE + k) * LANES + lane] = log_scales[i, k]
@@ -211,32 +212,20 @@ def _project_group(group, rotation, translation, intrinsics, size, near, blur, a
 
 
 @kernel(parallel=True)
-def project(
-    means,
-    quats,
-    log_scales,
-    opacity_logits,
-    offsets,
-    colors,
-    rotation,
-    translation,
-    intrinsics,
-    size,
-    side,
-    near,
-    blur,
-    antialiased,
-    splats,
-    depths,
-    boxes,
-    tiles,
-):
-    """Fill, for visible Gaussians, `splats` `[N · 16]`, `depths` `[N]` and `boxes` `[N, 4]` (first tile column and row, columns,
-    rows); for all, `tiles` `[N]`, the number of tiles in the box (0: not visible).
+def project(model, offsets, colors, view, side, near, blur, antialiased, splats, depths, boxes, tiles):
+    """Project a model.
 
-    `offsets` `[N, 2]` or `[0, 2]`, `colors` `[N, C]`. `blur` `[2]`, px², is added to the covariance along x and y; with `antialiased`
-    opacity makes up for it.
+    Args:
+        offsets: `[N, 2]`, added to the pixel centres; or `[0, 2]`.
+        colors: `[N, C]`.
+        side: of a tile, pixels.
+        near: Gaussians whose centre is not deeper than this are not visible.
+        blur: `[2]`, px², added to the covariance along x and y; with `antialiased` opacity makes up for it.
+        splats, depths, boxes: outputs `[N · 16]` (see `layout`), `[N]` and `[N, 4]` (see `Boxes`), filled where visible.
+        tiles: output `[N]`, the number of tiles in the box; 0 where not visible.
     """
+    means, quats, log_scales, opacity_logits = model
+    rotation, translation, intrinsics, size = view
     n = len(means)
     for chunk in nb.prange(CHUNKS):
         group, scratch = np.zeros(INPUTS * LANES, np.float32), np.empty(24 * LANES, np.float32)
@@ -268,13 +257,13 @@ def project(
 
 
 @inlined
-def _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width):
+def _sum_over_tiles(i, box, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width):
     """The sum of a Gaussian's slots, a row of `width` numbers each (lanes beyond it are noise), and how many there were.
 
     Row 0 is zero: list entries that no tile needed read it, which costs less than a branch nobody can predict.
     """
     sums, found = lanes_of(F(0)), 0
-    tile, column, columns = boxes[i, 1] * tiles_x + boxes[i, 0], 0, boxes[i, 2]
+    tile, column, columns = box[i, 1] * tiles_x + box[i, 0], 0, box[i, 2]
     for j in range(pair_starts[i], pair_starts[i + 1]):
         needed = places[j] < used[tile]
         slot = slot_starts[tile] + places[j] if needed else 0
@@ -386,6 +375,7 @@ def _pull_back_group(group, moments, rotation, translation, intrinsics, size, an
 
 @inlined
 def _scatter(lane, i, out, g_means, g_quats, g_log_scales, g_opacity_logits, g_offsets):
+    """Copy a lane of the gradients to Gaussian `i`."""
     for k in range(3):
         g_means[i, k] = out[(MEAN + k) * LANES + lane]
         g_log_scales[i, k] = out[(LOG_SCALE + k) * LANES + lane]
@@ -398,38 +388,19 @@ def _scatter(lane, i, out, g_means, g_quats, g_log_scales, g_opacity_logits, g_o
 
 
 @kernel(parallel=True)
-def project_backward(
-    means,
-    quats,
-    log_scales,
-    opacity_logits,
-    rotation,
-    translation,
-    intrinsics,
-    size,
-    side,
-    antialiased,
-    boxes,
-    pair_starts,
-    places,
-    used,
-    slot_starts,
-    slot_grads,
-    g_means,
-    g_quats,
-    g_log_scales,
-    g_opacity_logits,
-    g_offsets,
-    g_colors,
-    g_pose,
-):
+def project_backward(model, view, side, antialiased, boxes, slots, g_model, g_offsets, g_colors, g_pose):
     """Sum each splat's gradient over its tiles and pull it back.
 
     Args:
-        pair_starts: `[N + 1]` into `places`, a Gaussian's places in the lists of the tiles in its box.
-        used, slot_starts: `[T]`; `slot_grads` in rows of `slot_width(6 + C)` (see `blend_backward`).
-        g_*: outputs, zero on entry; `g_offsets` `[N, 2]` or `[0, 2]`; `g_pose` `[CHUNKS, 12]` is (W, t) row by row.
+        slots: in rows of `slot_width(6 + C)` (see `blend_backward`).
+        g_model, g_offsets, g_colors: outputs, zero on entry; `g_offsets` is `[N, 2]` or `[0, 2]`.
+        g_pose: output `[CHUNKS, 12]`, (W, t) row by row.
     """
+    means, quats, log_scales, opacity_logits = model
+    rotation, translation, intrinsics, size = view
+    box, pair_starts, places = boxes
+    used, slot_starts, slot_grads = slots
+    g_means, g_quats, g_log_scales, g_opacity_logits = g_model
     n, channels, width = len(means), g_colors.shape[1], slot_width(G_COLORS + g_colors.shape[1])
     tiles_x = (int(size[0]) + side - 1) // side
     nothing = np.empty((0, 2), np.float32)
@@ -442,7 +413,7 @@ def project_backward(
         for i in range(chunk * n // CHUNKS, stop):
             found = 0
             if pair_starts[i] < pair_starts[i + 1]:
-                sums, found = _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width)
+                sums, found = _sum_over_tiles(i, box, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width)
             if found > 0:
                 store(row, 0, sums)
                 for c in range(channels):
@@ -466,15 +437,17 @@ def project_backward(
 
 
 @kernel(parallel=True)
-def gather_colors(boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, g_colors):
-    """Sum each splat's colour gradients over its tiles: `slot_grads` has rows of `slot_width(C)`, `g_colors` `[N, C]` is overwritten."""
+def gather_colors(boxes, slots, tiles_x, g_colors):
+    """Sum each splat's colour gradients over its tiles: slots have rows of `slot_width(C)`, `g_colors` `[N, C]` is overwritten."""
+    box, pair_starts, places = boxes
+    used, slot_starts, slot_grads = slots
     n, width = len(g_colors), slot_width(g_colors.shape[1])
     for chunk in nb.prange(CHUNKS):
         row = np.empty(LANES, np.float32)
         for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
             store(row, 0, lanes_of(F(0)))
             if pair_starts[i] < pair_starts[i + 1]:
-                sums, _ = _sum_over_tiles(i, boxes, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width)
+                sums, _ = _sum_over_tiles(i, box, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width)
                 store(row, 0, sums)
             for c in range(g_colors.shape[1]):
                 g_colors[i, c] = row[c]

@@ -9,7 +9,7 @@ counts as one more splat behind all the others.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -57,6 +57,22 @@ PIXELS = BLOCK * BLOCK
 assert PIXELS == REGISTERS * LANES and 2 * BLOCK == PATCH == LANES
 LINE = 32  # weights in a cache line
 AHEAD = 32  # meetings whose weights are asked for before their turn, where sums are added to here and there in between
+
+
+class Meetings(NamedTuple):
+    """W as a sparse matrix of blocks.
+
+    Attributes:
+        starts: `[B + 1]`, meetings before each block, blocks in the order of reading.
+        splats: `[M]`, whose meeting, as a place in `seen`; V for the background's.
+        weights: `[M · 64]`, in multiples of 1/65535.
+        seen: `[V]`, Gaussians with a meeting.
+    """
+
+    starts: NDArray[np.int64]
+    splats: NDArray[np.int32]
+    weights: NDArray[np.uint16]
+    seen: NDArray[np.int32]
 
 
 @inlined
@@ -164,9 +180,10 @@ def _weigh_tile(start, end, entries, splat_rows, left, top, side, alpha, ends, k
 
 
 @kernel(parallel=True)
-def _weigh(tile_order, threads, tile_starts, entries, splat_rows, side, alpha, used, ends, keep, splats, weights):
+def _weigh(lists, alpha, used, ends, keep, splats, weights):
     """Fill `alpha` and `used` as `blend` does, and add each block's meetings to `ends` `[B]`; with `keep`, which begins where `ends`
     says, write them too."""
+    tile_order, threads, tile_starts, entries, splat_rows, side = lists
     across = (alpha.shape[1] + side - 1) // side
     taken = np.zeros(1, np.int64)
     for _thread in nb.prange(threads):
@@ -226,9 +243,10 @@ def _place(state, top, left, image):
 
 
 @kernel(concurrent=True)
-def _image(starts, splats, weights, seen, registers, across, colors, background, image):
+def _image(meetings, registers, across, colors, background, image):
     """`image` `[C, H, W]` of colors `[N, C]` and background `[C]`. `across`: blocks. `registers`: a tuple as long as what a block's
     pixels fill of them."""
+    starts, splats, weights, seen = meetings
     channels = len(image)
     state, theirs = aligned(channels * PIXELS), np.empty((len(seen) + 1) * channels, np.float32)
     for c in range(channels):
@@ -254,8 +272,9 @@ def _taken(sums, at):
 
 
 @kernel(concurrent=True)
-def _adjoint(starts, splats, weights, seen, registers, across, image, colors, background):
+def _adjoint(meetings, registers, across, image, colors, background):
     """The transpose, into colors `[N, C]`, where they are not 0, and background `[C]`, in float64."""
+    starts, splats, weights, seen = meetings
     channels = len(image)
     state, sums = aligned(channels * PIXELS), np.zeros((len(seen) + 1) * channels * SUMMED, np.float32)
     background[:] = 0
@@ -290,10 +309,8 @@ class Survey:
     def of(splats: Splats) -> Survey:
         down, across = _blocks_of(splats.shape)
         counts = np.zeros(down * across, np.int64)
-        survey = Survey(np.empty(splats.shape, np.float32), np.empty(len(splats.tile_starts) - 1, np.int64), counts)
-        nothing: list[Any] = [np.empty(0, np.int32), np.empty(0, np.uint16)]
-        arguments: list[Any] = [*splats.lists, survey.alpha, survey.used, counts, False, *nothing]
-        _weigh(*arguments)
+        survey = Survey(np.empty(splats.shape, np.float32), np.empty(len(splats.tile_order), np.int64), counts)
+        _weigh(splats.lists, survey.alpha, survey.used, counts, False, np.empty(0, np.int32), np.empty(0, np.uint16))
         return survey
 
     @property
@@ -308,16 +325,12 @@ class Weights:
     """W of one view. Its products are one thread's work and let go of Python's lock: views go side by side.
 
     Attributes:
-        starts: `[B + 1]`, meetings before each block, blocks in the order of reading.
-        splats: `[M]`, whose meeting, as a place in `seen`; V for the background's. weights: `[M · 64]`.
-        seen: `[V]`, Gaussians with a meeting, of all `gaussians`.
+        meetings: the matrix.
+        gaussians: N.
         shape: H and W.
     """
 
-    starts: NDArray[np.int64]
-    splats: NDArray[np.int32]
-    weights: NDArray[np.uint16]
-    seen: NDArray[np.int32]
+    meetings: Meetings
     gaussians: int
     shape: tuple[int, int]
 
@@ -327,33 +340,37 @@ class Weights:
         np.cumsum(survey.counts, out=starts[1:])
         whose, weights = np.empty(starts[-1], np.int32), _on_a_line(starts[-1] * PIXELS)
         alpha, used = np.empty_like(survey.alpha), np.empty_like(survey.used)
-        arguments: list[Any] = [*splats.lists, alpha, used, starts[:-1].copy(), True, whose, weights]
-        _weigh(*arguments)
+        _weigh(splats.lists, alpha, used, starts[:-1].copy(), True, whose, weights)
         gaussians = len(splats.tiles)
-        return Weights(starts, whose, weights, _renumbered(whose, gaussians), gaussians, splats.shape)
+        return Weights(Meetings(starts, whose, weights, _renumbered(whose, gaussians)), gaussians, splats.shape)
 
-    def _matrix(self, channels: int) -> list[Any]:
-        _, across = _blocks_of(self.shape)
-        return [self.starts, self.splats, self.weights, self.seen, (0,) * (REGISTERS * channels), across]
+    @property
+    def seen(self) -> NDArray[np.int32]:
+        """`[V]`, Gaussians with a meeting."""
+        return self.meetings.seen
+
+    @property
+    def _across(self) -> int:
+        return int(_blocks_of(self.shape)[1])
 
     def image(self, colors: NDArray[np.float32], background: NDArray[np.float32]) -> NDArray[np.float32]:
         """`[H, W, C]` of `[N, C]` and `[C]`; each channel lies in one piece."""
-        image = np.empty((len(background), *self.shape), np.float32)
-        arguments = [*self._matrix(len(background)), np.ascontiguousarray(colors, np.float32), background, image]
-        _image(*arguments)
+        channels = len(background)
+        image, numbers = np.empty((channels, *self.shape), np.float32), np.ascontiguousarray(colors, np.float32)
+        _image(self.meetings, (0,) * (REGISTERS * channels), self._across, numbers, background, image)
         return image.transpose(1, 2, 0)
 
     def adjoint(self, image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """`[N, C]` and `[C]` of `[H, W, C]`: the transpose."""
         planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
-        colors, background = np.zeros((self.gaussians, len(planes)), np.float32), np.empty(len(planes))
-        arguments = [*self._matrix(len(planes)), planes, colors, background]
-        _adjoint(*arguments)
+        channels = len(planes)
+        colors, background = np.zeros((self.gaussians, channels), np.float32), np.empty(channels)
+        _adjoint(self.meetings, (0,) * (REGISTERS * channels), self._across, planes, colors, background)
         return colors, background.astype(np.float32)
 
     @property
     def nbytes(self) -> int:
-        return sum(a.nbytes for a in (self.starts, self.splats, self.weights, self.seen))
+        return sum(a.nbytes for a in self.meetings)
 
 
 def _on_a_line(count: int) -> NDArray[np.uint16]:
