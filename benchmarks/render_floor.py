@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 
+from rtgs.base.compiled import kernel
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
@@ -57,7 +57,7 @@ class Work:
     undecided: NDArray[np.bool_]
 
 
-@njit(cache=True)
+@kernel(checks_division=True)
 def _composite(
     centres: NDArray[np.float64],
     covariances: NDArray[np.float64],

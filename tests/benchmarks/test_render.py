@@ -2,37 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
 import torch
 
+import render as bench
+import render_floor as floor
 from rtgs.renderer import RenderSettings, reference, render
 from rtgs.renderer.settings import ALPHA_MAX, ALPHA_MIN, COVARIANCE_BLUR_PX2, TRANSMITTANCE_MIN
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
-
-@pytest.fixture
-def load(monkeypatch: pytest.MonkeyPatch):
-    """A module of `benchmarks/`, by its folder and name."""
-
-    def module(folder: str, name: str) -> ModuleType:
-        monkeypatch.syspath_prepend(str(BENCHMARKS / folder))
-        monkeypatch.delitem(sys.modules, name, raising=False)  # `render` and `server` are common names
-        loaded = importlib.import_module(name)
-        monkeypatch.delitem(sys.modules, name)
-        return loaded
-
-    return module
-
-
-def test_counts_are_the_references_pairs(load) -> None:
-    floor, bench = load(".", "render_floor"), load(".", "render")
+def test_counts_are_the_references_pairs() -> None:
     model, (camera, pose) = bench.random_cloud(8000), bench.view(40, 24)
     work = floor.work(model, camera, pose, 16)
 
@@ -54,8 +34,7 @@ def test_counts_are_the_references_pairs(load) -> None:
     assert work.boxes > work.pairs and work.entries >= work.visible
 
 
-def test_a_pixel_beside_the_cut_off_is_undecided(load) -> None:
-    floor, bench = load(".", "render_floor"), load(".", "render")
+def test_a_pixel_beside_the_cut_off_is_undecided() -> None:
     model, (camera, pose) = bench.random_cloud(1), bench.view(32)
     view = render(model.to(torch.float64), camera, pose, settings=RenderSettings(backend="reference"))
     faint = view.alpha[view.alpha > 0].min().item()
@@ -67,9 +46,10 @@ def test_a_pixel_beside_the_cut_off_is_undecided(load) -> None:
         assert floor.work(nudged, camera, pose, 16).undecided.any() == expected
 
 
-def test_the_rival_draws_what_the_reference_draws(load) -> None:
+def test_the_rival_draws_what_the_reference_draws() -> None:
     pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
-    rival, bench = load("rivals", "gsplat_torch"), load(".", "render")
+    import gsplat_torch as rival
+
     model, (camera, pose) = bench.random_cloud(300).to(torch.float64), bench.view(37, 21)
     image = rival.render(
         model.means,

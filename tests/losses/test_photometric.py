@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rtgs.losses.photometric import photometric, reference_photometric
+from rtgs.losses.photometric import Appearance, Target, photometric, reference_photometric
 from rtgs.losses.ssim import whole_windows
 
 NAMES = ("color", "alpha", "background", "gain", "offset")
@@ -25,6 +25,12 @@ def view(height: int = 46, width: int = 61) -> tuple[dict[str, Tensor], Tensor]:
     return dict(zip(NAMES, tensors, strict=True)), target
 
 
+def of(tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor, Appearance]:
+    """The arguments of a loss."""
+    color, alpha, *appearance = (tensors[name] for name in NAMES)
+    return color, alpha, Appearance(*appearance)
+
+
 def border(height: int = 46, width: int = 61) -> tuple[Tensor, Tensor]:
     pixels = torch.ones(height, width, dtype=torch.bool)
     pixels[:4], pixels[:, 50:], pixels[20, 20] = False, False, False
@@ -37,13 +43,13 @@ def test_value_and_gradients_equal_the_reference(ssim_weight: float, masked: boo
     tensors, target = view()
     pixels, windows = border() if masked else (None, None)
     slow = {k: v.double().requires_grad_() for k, v in tensors.items()}
-    expected = reference_photometric(**slow, target=target.double(), ssim_weight=ssim_weight, pixels=pixels, windows=windows)
+    expected = reference_photometric(*of(slow), Target(target.double(), pixels, windows), ssim_weight=ssim_weight)
     (3 * expected).backward()
     # Even and odd rows together are all rows: with a mask that favours neither, their mean is the loss over all.
     values, sums = [], {k: torch.zeros_like(v) for k, v in tensors.items()}
     for parity in (0, 1):
         fast = {k: v.clone().requires_grad_() for k, v in tensors.items()}
-        loss = photometric(**fast, target=target, ssim_weight=ssim_weight, pixels=pixels, windows=windows, parity=parity)
+        loss = photometric(*of(fast), Target(target, pixels, windows), ssim_weight=ssim_weight, parity=parity)
         (3 * loss).backward()
         values.append(loss.item())
         for name, tensor in fast.items():
@@ -61,7 +67,7 @@ def test_every_second_row_of_windows_is_nearly_all() -> None:
     gradients = []
     for parity in (0, 1):
         color = tensors["color"].clone().requires_grad_()
-        photometric(**{**tensors, "color": color}, target=target, ssim_weight=1.0, parity=parity).backward()
+        photometric(*of({**tensors, "color": color}), Target(target), ssim_weight=1.0, parity=parity).backward()
         gradients.append(color.grad)
     assert 0 < (gradients[0] - gradients[1]).norm() < 0.1 * gradients[0].norm()
 
@@ -73,7 +79,7 @@ def test_what_the_mask_leaves_out_has_no_say() -> None:
     results = []
     for picture in (target, spoiled):
         leaves = {k: v.clone().requires_grad_() for k, v in tensors.items()}
-        loss = photometric(**leaves, target=picture, ssim_weight=0.2, pixels=pixels, windows=windows)
+        loss = photometric(*of(leaves), Target(picture, pixels, windows), ssim_weight=0.2)
         loss.backward()
         results.append([loss, *(leaf.grad for leaf in leaves.values())])
         assert not leaves["color"].grad[~pixels].any() and not leaves["alpha"].grad[~pixels].any()
@@ -84,18 +90,18 @@ def test_a_mask_that_leaves_one_row_of_windows_is_used_at_either_parity() -> Non
     tensors, target = view()
     windows = torch.zeros(46, 61, dtype=torch.bool)
     windows[17, 10:40] = True
-    values = [photometric(**tensors, target=target, ssim_weight=0.2, windows=windows, parity=parity) for parity in (0, 1)]
-    expected = reference_photometric(**tensors, target=target, ssim_weight=0.2, windows=windows)
+    values = [photometric(*of(tensors), Target(target, windows=windows), ssim_weight=0.2, parity=parity) for parity in (0, 1)]
+    expected = reference_photometric(*of(tensors), Target(target, windows=windows), ssim_weight=0.2)
     torch.testing.assert_close(torch.stack(values), expected.expand(2))
 
 
 def test_an_image_smaller_than_the_window_is_refused() -> None:
     tensors, target = view(10, 40)
     with pytest.raises(ValueError, match="11 px"):
-        photometric(**tensors, target=target, ssim_weight=0.2)
+        photometric(*of(tensors), Target(target), ssim_weight=0.2)
 
 
 def test_what_is_not_a_number_stays_visible() -> None:
     tensors, target = view()
     tensors["color"][30, 30, 1] = float("nan")
-    assert photometric(**tensors, target=target, ssim_weight=0.2).isnan()
+    assert photometric(*of(tensors), Target(target), ssim_weight=0.2).isnan()

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numba
 import pytest
 import torch
-from tests.renderer.test_render import POSE, assert_close, cloud, pinhole
+from tests.helpers.compare_renders import assert_close
+from tests.helpers.gaussian_clouds import POSE, cloud, pinhole
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
@@ -111,8 +112,6 @@ def test_what_cannot_be_done_is_refused() -> None:
         LinearRender(cloud(3), replace(pinhole(20, 20), model="OPENCV"), POSE)
     with pytest.raises(RtgsError, match=r"9 channels.*8"):
         LinearRender(cloud(3), pinhole(20, 20), POSE, channels=9)
-    with pytest.raises(RtgsError, match=r"cuda"):
-        LinearRender(cloud(3), pinhole(20, 20), POSE, settings=RenderSettings(backend="cuda"))
     with pytest.raises(RtgsError, match=r"one row in 4 of a picture of 2"):
         LinearRender(cloud(3), pinhole(20, 2), POSE, every=4)
 
@@ -215,3 +214,9 @@ def test_colours_of_another_model_are_refused(keep: bool) -> None:
     view = LinearRender(cloud(30), pinhole(20, 18), POSE)
     with pytest.raises(ValueError, match="colours of 3 Gaussians, not 30"):
         (kept(view) if keep else view).image(torch.zeros(3, 1))
+
+
+def test_cpu_takes_the_place_of_cuda_which_has_no_linear_map() -> None:
+    colors = torch.rand(30, 1, generator=torch.Generator().manual_seed(8))
+    asked, done = (LinearRender(cloud(30), pinhole(20, 18), POSE, settings=settings(backend)) for backend in ("cuda", "cpu"))
+    assert torch.equal(asked.image(colors), done.image(colors)) and done.alpha.max() > 0.5

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.renderer.test_render import POSE, assert_close, cloud, degenerate, identity, joined, pinhole
+from tests.helpers.compare_renders import assert_close
+from tests.helpers.gaussian_clouds import POSE, cloud, degenerate, identity, joined, pinhole
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
@@ -172,5 +173,13 @@ def test_what_cannot_be_done_is_refused() -> None:
         render_with_tangents(cloud(3), replace(pinhole(20, 20), model="OPENCV"), POSE, [Direction()])
     with pytest.raises(RtgsError, match=r"9 channels.*8"):
         render_with_tangents(cloud(3, 1, 9), pinhole(20, 20), POSE, [Direction()])
-    with pytest.raises(RtgsError, match=r"cuda.*forward mode"):
-        render_with_tangents(cloud(3), pinhole(20, 20), POSE, [Direction()], settings=RenderSettings(backend="cuda"))
+
+
+def test_cpu_takes_the_place_of_cuda_which_has_no_forward_mode() -> None:
+    model, camera = cloud(40, 1, 3), pinhole(37, 21)
+    asked, done = (
+        render_with_tangents(model, camera, POSE, EVERY_WAY[:2], settings=RenderSettings(backend=backend))  # type: ignore[arg-type]
+        for backend in ("cuda", "cpu")
+    )
+    assert torch.equal(asked[0].color, done[0].color) and torch.equal(asked[1].color, done[1].color)
+    assert done[1].color.abs().max() > 0.1

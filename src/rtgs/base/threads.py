@@ -13,16 +13,16 @@ import torch
 
 A = TypeVar("A")
 B = TypeVar("B")
-AT_ONCE = 8  # items that are handed over together, of all threads: to hand over one costs as much as a small picture's work
+AT_ONCE = 8  # items that are handed to the threads together: to hand over one costs as much as the work on a small picture
 
 
 def in_order(
     work: Callable[[A], B], items: Sequence[A], threads: int, is_here: Callable[[A], bool] = lambda item: False
 ) -> Generator[B]:
-    """`work` of each item, in their order; no more than two a thread, or `AT_ONCE` and a half, are done before they are asked for.
+    """`work` of each item, in the items' order. No more than twice `AT_ONCE` results are computed before they are asked for.
 
     Args:
-        is_here: for which items this thread does the work itself, in their turn: those whose kernels are parallel.
+        is_here: for which items the calling thread does the work itself, in their turn: those whose kernels are parallel.
     """
     if threads <= 1:
         yield from map(work, items)
@@ -52,8 +52,11 @@ def in_order(
 
 @contextmanager
 def threads_at_most(numba: int) -> Iterator[None]:
-    """So many of Numba's, and of PyTorch's the calling one alone: where PyTorch's operations are small next to kernels of our own, its
-    other threads mostly wait, and how many there are would change last digits of sums."""
+    """Within the block, Numba has at most so many threads and PyTorch one.
+
+    For work in which PyTorch's operations are small next to the package's kernels. More of its threads would mostly wait, and their
+    number would change the last digits of sums.
+    """
     before = torch.get_num_threads(), nb.get_num_threads()
     try:
         torch.set_num_threads(1)

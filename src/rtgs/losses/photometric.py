@@ -1,4 +1,6 @@
-"""The training loss of a rendered view, ℓ1 + w (1 − SSIM), with the image's composition: value and gradient in three compiled passes.
+"""The training loss of a rendered view, ℓ1 + w (1 − SSIM), value and gradient in three compiled passes.
+
+The passes also compose the image from the render, and take the gradients back through that:
 
     image = gain · (color + (1 − alpha) · background) + offset
     loss  = mean |image − target| + w (1 − SSIM(image, target))
@@ -8,7 +10,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,96 +24,89 @@ from rtgs.losses.ssim import reference_ssim, ssim_and_gradient
 _SSIM_STRIDE = 2  # window rows from one that counts to the next
 
 
+class Appearance(NamedTuple):
+    """How a photograph comes from a render: background, and the camera's gain and offset, `[3]` each."""
+
+    background: Tensor
+    gain: Tensor
+    offset: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A photograph, and what of it counts.
+
+    Attributes:
+        image: `[H, W, 3]`.
+        pixels: `[H, W]` bool, the pixels of ℓ1; all when None.
+        windows: `[H, W]` bool, the centres of SSIM's windows; all inside the image when None.
+    """
+
+    image: Tensor
+    pixels: Tensor | None = None
+    windows: Tensor | None = None
+
+
 def photometric(
-    color: Tensor,
-    alpha: Tensor,
-    background: Tensor,
-    gain: Tensor,
-    offset: Tensor,
-    target: Tensor,
-    *,
-    ssim_weight: float,
-    pixels: Tensor | None = None,
-    windows: Tensor | None = None,
-    parity: int = 0,
+    color: Tensor, alpha: Tensor, appearance: Appearance, target: Target, *, ssim_weight: float, parity: int = 0
 ) -> Tensor:
     """The loss, a scalar, differentiable in all but the target. float32 on the CPU.
 
-    SSIM is taken over every second row of windows, which holds the same to 1 % of its gradient; who alternates `parity` between steps
-    loses nothing.
+    SSIM is taken over every second row of windows, whose mean differs by 1 % of its gradient from that of all rows. Alternate `parity`
+    between steps to cover all rows.
 
     Args:
-        color: `[H, W, 3]`, premultiplied, and alpha: `[H, W]`, as `Render` has them.
-        background, gain, offset: `[3]`.
-        target: `[H, W, 3]`.
-        pixels: `[H, W]` bool, the pixels of ℓ1; all when None.
-        windows: `[H, W]` bool, the centres of SSIM's windows; all inside the image when None.
+        color: `[H, W, 3]`, premultiplied, as `Render` has it.
+        alpha: `[H, W]`.
         parity: 0 or 1, which rows of windows.
+
+    Raises:
+        ValueError: the image is smaller than SSIM's window.
     """
-    result: Tensor = _Photometric.apply(color, alpha, background, gain, offset, target, ssim_weight, pixels, windows, parity)
+    result: Tensor = _Photometric.apply(target, ssim_weight, parity, color, alpha, *appearance)
     return result
 
 
-def reference_photometric(
-    color: Tensor,
-    alpha: Tensor,
-    background: Tensor,
-    gain: Tensor,
-    offset: Tensor,
-    target: Tensor,
-    *,
-    ssim_weight: float,
-    pixels: Tensor | None = None,
-    windows: Tensor | None = None,
-) -> Tensor:
+def reference_photometric(color: Tensor, alpha: Tensor, appearance: Appearance, target: Target, *, ssim_weight: float) -> Tensor:
     """The same over all rows of windows, in plain torch, any dtype."""
+    background, gain, offset = appearance
     image = gain * (color + (1.0 - alpha)[..., None] * background) + offset
-    difference = (image - target).abs()
-    l1 = difference.mean() if pixels is None else difference[pixels].mean()
-    return l1 + ssim_weight * (1.0 - reference_ssim(image, target, windows))
+    difference = (image - target.image).abs()
+    l1 = difference.mean() if target.pixels is None else difference[target.pixels].mean()
+    return l1 + ssim_weight * (1.0 - reference_ssim(image, target.image, target.windows))
 
 
 class _Photometric(torch.autograd.Function):
+    """Inputs: target, weight of SSIM, parity, then colour, alpha and the three tensors of the appearance."""
+
     @staticmethod
-    def forward(
-        ctx: Any,
-        color: Tensor,
-        alpha: Tensor,
-        background: Tensor,
-        gain: Tensor,
-        offset: Tensor,
-        target: Tensor,
-        ssim_weight: float,
-        pixels: Tensor | None,
-        windows: Tensor | None,
-        parity: int,
-    ) -> Tensor:
-        c, a, t = (x.detach().contiguous().numpy() for x in (color, alpha, target))
-        b, k, o = (x.detach().numpy() for x in (background, gain, offset))
-        valid = np.zeros((0, 0), np.bool_) if pixels is None else pixels.numpy()
+    def forward(ctx: Any, target: Target, ssim_weight: float, parity: int, *tensors: Tensor) -> Tensor:
+        c, a, b, k, o = (x.detach().contiguous().numpy() for x in tensors)
+        t = target.image.detach().contiguous().numpy()
+        valid = np.zeros((0, 0), np.bool_) if target.pixels is None else target.pixels.numpy()
         image = np.empty_like(c)
         _compose(c, a, b, k, o, image)
         value = 0.0
         if ssim_weight != 0.0:
-            centres = None if windows is None else windows.numpy()
+            centres = None if target.windows is None else target.windows.numpy()
             similarity, gradient = ssim_and_gradient(image, t, centres, first=parity, stride=_SSIM_STRIDE)
             value = ssim_weight * (1.0 - similarity)
         else:
             gradient = np.zeros_like(image)
-        l1_weight = np.float32(1.0 / (3 * (valid.sum() if valid.size else alpha.numel())))
+        l1_weight = np.float32(1.0 / (3 * (valid.sum() if valid.size else a.size)))
         g_alpha, sums = np.empty_like(a), np.empty((-(-len(a) // _BAND), 10))
         b_row, k_row = np.tile(b, a.shape[1]), np.tile(k, a.shape[1])
         _decompose(c, a, b_row, k_row, image, t, valid, l1_weight, np.float32(-ssim_weight), gradient, g_alpha, sums)
         total = sums.sum(axis=0)
         ctx.gradients = [torch.from_numpy(g) for g in (gradient, g_alpha, *np.split(total[1:].astype(np.float32), 3))]
-        return color.new_tensor(total[0] + value)
+        return tensors[0].new_tensor(total[0] + value)
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
         scale = grad_outputs[0]
         # As a rule nothing comes after the loss, and this saves a pass over the image.
         gradients = ctx.gradients if scale.item() == 1.0 else [g * scale for g in ctx.gradients]
-        return (*gradients, None, None, None, None, None)
+        return (None, None, None, *gradients)
 
 
 _BAND = 16  # rows a thread takes at a time

@@ -1,4 +1,4 @@
-"""Pictures that lie channel by channel, each in one piece; on one thread, without Python's lock."""
+"""Arithmetic of pictures that are stored channel by channel. Each call runs on one thread and lets go of Python's lock."""
 
 from __future__ import annotations
 

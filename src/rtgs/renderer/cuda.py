@@ -1,5 +1,7 @@
 """The GPU back end: the same two functions as `reference`, through the CUDA kernels of gsplat (Ye et al. 2024), float32.
 
+All tensors are on the GPU here; `render` moves them there.
+
 gsplat is optional (`pip install 'rtgs[cuda]'`) and is imported at the first render. `gsplat.rasterization` is one call, but adds
 nothing to the projected centres and takes spherical harmonics of three channels only; so its steps are composed here, with
 `pixel_offsets` between the projection and the tiles. Its cut-offs (`settings.ALPHA_MIN`, `ALPHA_MAX`, `TRANSMITTANCE_MIN`,
@@ -25,9 +27,22 @@ from rtgs.renderer.settings import COVARIANCE_BLUR_PX2, RenderSettings
 TILE_PX = 16  # gsplat tests no other
 
 
+def device() -> torch.device:
+    """The GPU.
+
+    Raises:
+        RtgsError: torch finds none.
+    """
+    if not torch.cuda.is_available():
+        raise RtgsError(
+            'render: backend "cuda" wants a GPU, and torch finds no GPU here (it takes an NVIDIA GPU and a CUDA build of torch); use '
+            'backend "cpu".'
+        )
+    return torch.device("cuda")
+
+
 def colors_from_sh(means: Tensor, coefficients: Tensor, camera_centre: Tensor) -> Tensor:
     """`[N, C]`: max(0, ½ + basis(direction from the camera) · sh), `coefficients` `[N, K, C]`."""
-    _require_gpu(means.device)
     return reference.colors_from_sh(means.float(), coefficients.float(), camera_centre.float())
 
 
@@ -45,10 +60,9 @@ def rasterize(
     than zero do not bring it in; and `visible` may name one that touches no pixel, since its box is rounded up to whole pixels.
 
     Raises:
-        RtgsError: the tensors are not on a CUDA device, or gsplat or its kernels are missing.
+        RtgsError: gsplat or its kernels are missing.
     """
     means, quats, log_scales, opacity_logits = geometry
-    _require_gpu(means.device)
     gsplat = _gsplat()
     width, height, device = camera.width, camera.height, means.device
     opacities = torch.sigmoid(opacity_logits.float())
@@ -88,16 +102,6 @@ def rasterize(
     offsets = gsplat.isect_offset_encode(intersections, 1, tiles_x, tiles_y)
     image, alpha = gsplat.rasterize_to_pixels(centres, conics, colors[None], opacities, width, height, TILE_PX, offsets, ids)
     return image[0], alpha[0, ..., 0], (radii[0] > 0).all(-1)
-
-
-def _require_gpu(device: torch.device) -> None:
-    if device.type == "cuda":
-        return
-    if torch.cuda.is_available():
-        remedy = 'move it with Gaussians.to("cuda"), or use backend "cpu"'
-    else:
-        remedy = 'torch finds no GPU here (it takes an NVIDIA GPU and a CUDA build of torch); use backend "cpu"'
-    raise RtgsError(f'render: the model is on "{device}" and backend "cuda" wants it on the GPU: {remedy}.')
 
 
 def _gsplat() -> ModuleType:

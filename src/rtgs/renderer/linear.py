@@ -1,6 +1,6 @@
-"""With geometry, opacity and pose frozen a picture is linear in the Gaussians' colours: `image = W·colors + (1 − α)·background`.
+"""The picture as a linear map of the colours: with geometry, opacity and pose frozen, `image = W·colors + (1 − α)·background`.
 
-`LinearRender` is W and its transpose for one view, colours taken as they are: no spherical harmonics, no ½ added, no clamp.
+`LinearRender` is W and its transpose for one view. Colours are taken as they are: no spherical harmonics, no ½ added, no clamp.
 """
 
 from __future__ import annotations
@@ -23,24 +23,25 @@ from rtgs.renderer.cpu.arguments import Model, View
 from rtgs.renderer.cpu.splats import Splats
 from rtgs.renderer.cpu.weights import Survey, Weights
 from rtgs.renderer.settings import RenderSettings
-from rtgs.renderer.view import check
+from rtgs.renderer.view import check, on_the_cpu
 
 
 class LinearRender:
     """The linear map from colours to one view's picture, and its transpose.
 
-    What is kept is the view's splats and their lists; the weights themselves, fifty or more a pixel, are computed again at each use
-    unless `keep_weights` has been called: a few dozen views of them fill a laptop's memory (docs/results/renderer-speed.md).
+    The view's splats and their lists are kept. The weights themselves, fifty or more a pixel, are computed again at each use, because
+    a few dozen views of them fill a laptop's memory; `keep_weights` keeps them (docs/results/renderer-speed.md).
 
     Args:
-        gaussians: geometry and opacity; its colours are not looked at.
-        channels: C of the colours that will be given, at most; checked here rather than in the middle of long work.
-        settings: near plane, anti-aliasing and back end ("cpu" or "reference") count.
-        every: only rows `every // 2 :: every` of the picture, H of them. (What lies well outside the view, where projection holds a
-            Gaussian's slope, is held half a row elsewhere.)
+        gaussians: geometry and opacity count.
+        channels: the largest C of the colours that will be given; checked here rather than in the middle of long work.
+        settings: near plane, anti-aliasing and back end count; "cuda" has no linear map, and "cpu" takes its place.
+        every: only rows `every // 2 :: every` of the picture are drawn, H of them. (For Gaussians well outside the view, where the
+            projection holds the slope, the bound is half a row off.)
 
     Raises:
-        RtgsError: the camera has a lens; more channels than the back end composites at once; the "cuda" back end; no row is left.
+        RtgsError: the camera has a lens; more channels than the back end composites at once; the model is on a GPU; no row is
+            left.
     """
 
     def __init__(
@@ -53,10 +54,8 @@ class LinearRender:
         settings: RenderSettings | None = None,
         every: int = 1,
     ) -> None:
-        settings = settings or RenderSettings()
+        settings = on_the_cpu(settings or RenderSettings())
         check(gaussians, camera, RenderSettings(near_plane=settings.near_plane))
-        if settings.backend == "cuda":
-            raise RtgsError('render: the "cuda" back end has no linear map; use "cpu".')
         if every // 2 >= camera.height:
             raise RtgsError(f"render: one row in {every} of a picture of {camera.height} leaves none; choose a smaller `every`.")
         self.channels, self.shape = channels, (camera.rows(every).height, camera.width)
@@ -67,7 +66,7 @@ class LinearRender:
 
     @property
     def visible(self) -> NDArray[np.int32]:
-        """Which of the N; the others' colours are not looked at."""
+        """Indices of the Gaussians whose colours count."""
         return self._backend.visible
 
     @property
@@ -90,13 +89,16 @@ class LinearRender:
         return self._backend.adjoint(image.detach())
 
     def keep_weights(self, within: int) -> None:
-        """Keep the weights themselves, rounded to multiples of 1/65535, if they take no more than `within` bytes: each use then takes
-        0.14 to 0.2 of the processor's time, on one thread: views go side by side. "cpu" only; "reference" goes on as before."""
+        """Keep the weights, rounded to multiples of 1/65535, if they take no more than `within` bytes.
+
+        Each use then takes 0.14 to 0.2 of the processor's time. It runs on one thread, so that several views can be used at once.
+        "cpu" only; for "reference" nothing changes.
+        """
         self._backend.keep_weights(within)
 
     @property
     def is_concurrent(self) -> bool:
-        """Whether several threads may use it, and other views, at once: where weights are kept, each use is one thread's work."""
+        """Whether several threads may use it at once, with other views: where weights are kept, each use runs on one thread."""
         return self._backend.is_concurrent
 
     @property
@@ -106,12 +108,12 @@ class LinearRender:
 
 
 class LinearViews(Sequence[LinearRender]):
-    """`LinearRender` of many views; as many are kept as fit into a budget, the others are made anew at each use.
+    """`LinearRender` of many views. As many are kept as fit into a budget; the others are made anew at each use.
 
     Args:
         camera_from_world: one pose a view.
         budget_bytes: for all kept views together.
-        keep_weights: whether what the lists of all views leave of the budget may go to their weights (see `LinearRender.keep_weights`).
+        keep_weights: use what the lists of all views leave of the budget for weights (see `LinearRender.keep_weights`).
     """
 
     def __init__(

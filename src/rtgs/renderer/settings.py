@@ -1,4 +1,4 @@
-"""What a render may be asked for, what it gives, and the constants every back end obeys."""
+"""Settings of a render, its result, and the constants that every back end obeys."""
 
 from __future__ import annotations
 
@@ -35,9 +35,8 @@ class RenderSettings:
     """How to render.
 
     Attributes:
-        backend: "cpu" (Numba, float32), "cuda" (gsplat, float32, for a model on an NVIDIA GPU) or "reference" (PyTorch, any dtype,
-            slow).
-        near_plane: Gaussians whose centre is nearer than this are left out; world units.
+        backend: "cpu" (Numba, float32), "cuda" (gsplat, float32, on an NVIDIA GPU) or "reference" (PyTorch, any dtype, slow).
+        near_plane: Gaussians whose centre is not deeper than this are left out; world units.
         antialiased: scale opacity by the area that the blur added (Mip-Splatting's 2D filter), so that a model looks alike at
             every resolution.
         with_depth: also composite the expected depth.

@@ -1,7 +1,7 @@
-"""Forward mode: a picture and how it changes when the camera moves in a few directions, in one pass.
+"""Forward mode: a picture and its derivatives along a few motions of the camera, in one pass.
 
-One number to find (a scale, a focal length) needs one tangent picture: it costs a fraction of a reverse pass, and unlike a slope it
-gives Gauss–Newton its step.
+To find one number (a scale, a focal length) takes one tangent picture. It costs a fraction of a reverse pass, and gives Gauss–Newton
+its step, where reverse mode gives only a slope.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import cpu
 from rtgs.renderer.cpu.layout import MAX_DIRECTIONS
 from rtgs.renderer.settings import Render, RenderSettings
-from rtgs.renderer.view import active_sh, check, render
+from rtgs.renderer.view import active_sh, check, on_the_cpu, render
 
 Vector = tuple[float, float, float]
 
@@ -80,15 +80,15 @@ def render_with_tangents(
 ) -> tuple[Render, Tangents]:
     """Render a model, and the derivative of the picture along each direction. Nothing here is tracked by autograd.
 
+    The "cuda" back end has no forward mode; "cpu" takes its place.
+
     Raises:
-        RtgsError: as `render`; no direction or more than eight; the "cuda" back end, which has no forward mode.
+        RtgsError: as `render`; the model is on a GPU; no direction or more than eight.
     """
-    settings = settings or RenderSettings()
+    settings = on_the_cpu(settings or RenderSettings())
     check(gaussians, camera, settings)
     if not 1 <= len(directions) <= MAX_DIRECTIONS:
         raise RtgsError(f"render: {len(directions)} directions; tangents are taken along 1 to {MAX_DIRECTIONS} at once.")
-    if settings.backend == "cuda":
-        raise RtgsError('render: the "cuda" back end has no forward mode; use "cpu" for tangents.')
     with torch.no_grad():
         if settings.backend == "reference":
             return _by_dual_numbers(gaussians, camera, camera_from_world, directions, settings)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -11,7 +13,7 @@ from rtgs.maths.sh import coefficients
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import cpu, cuda, reference
-from rtgs.renderer.settings import Render, RenderSettings
+from rtgs.renderer.settings import Backend, Render, RenderSettings
 
 
 def render(
@@ -25,10 +27,10 @@ def render(
     """Render a model.
 
     Gradients reach every tensor of `gaussians`, both parts of `camera_from_world` (the view direction of the spherical harmonics
-    included) and `pixel_offsets`.
+    included) and `pixel_offsets`. Pictures are where the model is: "cuda" takes a model on the CPU to the GPU, and its pictures back.
 
     Args:
-        gaussians: the model, on the GPU for "cuda"; "cpu" and "cuda" compute in float32.
+        gaussians: the model; "cpu" and "cuda" compute in float32.
         camera: a camera without distortion.
         camera_from_world: NumPy or torch, on any device.
         settings: how; `RenderSettings()` when None.
@@ -36,14 +38,18 @@ def render(
             densification reads.
 
     Raises:
-        RtgsError: the camera has a lens; the model is not on the back end's device, or gsplat is missing for "cuda"; the settings ask
-            for SH bands or weigh channels that the model does not have; "cpu" is given
-            more than eight channels, depth included.
+        RtgsError: the camera has a lens; the back end cannot run on this machine, or the model is on a GPU and it is not "cuda"; the
+            settings ask for SH bands or weigh channels that the model does not have; "cpu" is given more than eight channels, depth
+            included.
     """
     settings = settings or RenderSettings()
     check(gaussians, camera, settings)
     backend = {"cpu": cpu, "cuda": cuda, "reference": reference}[settings.backend]
-    device = gaussians.means.device
+    home = gaussians.means.device
+    device = cuda.device() if settings.backend == "cuda" else home
+    if device != home:
+        gaussians = gaussians.to(device)
+        pixel_offsets = None if pixel_offsets is None else pixel_offsets.to(device)
     pose = camera_from_world.to_torch(gaussians.means.dtype, device)
     camera_centre = -(pose.rotation.T @ pose.translation)
     colors = backend.colors_from_sh(gaussians.means, active_sh(gaussians, settings), camera_centre)
@@ -53,9 +59,26 @@ def render(
         depths = gaussians.means @ pose.rotation[2] + pose.translation[2]
         colors = torch.cat([colors, depths[:, None]], dim=1)
     image, alpha, visible = backend.rasterize(gaussians.geometry, colors, camera, pose, settings, pixel_offsets)
+    if device != home:
+        image, alpha, visible = image.to(home), alpha.to(home), visible.to(home)
     if settings.with_depth:
         return Render(image[..., :-1], alpha, image[..., -1], visible)
     return Render(image, alpha, None, visible)
+
+
+def on_the_cpu(settings: RenderSettings) -> RenderSettings:
+    """The settings for what the "cuda" back end cannot do: "cpu" takes its place."""
+    return replace(settings, backend="cpu") if settings.backend == "cuda" else settings
+
+
+def check_backend(backend: Backend) -> None:
+    """Refuse a back end that cannot run on this machine: before long work, rather than in its midst.
+
+    Raises:
+        RtgsError: "cuda", and torch finds no GPU.
+    """
+    if backend == "cuda":
+        cuda.device()
 
 
 def check(gaussians: Gaussians, camera: Camera, settings: RenderSettings) -> None:

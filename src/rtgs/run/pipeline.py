@@ -13,7 +13,8 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, ResultLine, nobody
 from rtgs.config import RunConfig
 from rtgs.records.capture import Capture
-from rtgs.rgb.train import model_from_ply
+from rtgs.renderer import check_backend
+from rtgs.rgb.imported import model_from_ply
 from rtgs.run.config_file import SavedRun
 from rtgs.run.content import Content, Hashes, read_content
 from rtgs.run.folder import RunFolder
@@ -143,7 +144,8 @@ def _check_same_capture(capture: Path, content: Content, folder: RunFolder) -> N
 
 
 def _check_rgb_ply(config: RunConfig, folder: RunFolder) -> None:
-    """Refuse a model to import before any long work, and before the run is changed."""
+    """Refuse a model to import, or a back end, before any long work, and before the run is changed."""
+    check_backend(config.rgb.backend)
     if config.rgb_ply is not None:
         if config.rgb_ply.resolve() == (folder.path / "rgb.ply").resolve():
             raise RtgsError(

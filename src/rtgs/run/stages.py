@@ -66,7 +66,8 @@ def _find_poses(job: Job) -> None:
 
 
 def _make_rgb_model(job: Job) -> None:
-    from rtgs.rgb.train import fit_rgb, model_from_ply
+    from rtgs.rgb.imported import model_from_ply
+    from rtgs.rgb.train import fit_rgb
 
     scene, ply = job.scene, job.config.rgb_ply
 
@@ -75,7 +76,7 @@ def _make_rgb_model(job: Job) -> None:
 
     if ply is not None:
         with job.work("rgb", "import of the RGB model"):
-            model = model_from_ply(ply, scene.extent)
+            model = model_from_ply(ply, scene.extent, job.config.rgb.backend)
     else:
         with job.work("rgb", TITLES["rgb"]) as progress:
             model = fit_rgb(scene, job.config.rgb, checkpoint=job.folder.checkpoint, progress=progress, snapshot=snapshot)

@@ -1,4 +1,4 @@
-"""Composite splats front to back, forwards, backwards and sideways. One loop iteration is a thread's share of tiles.
+"""Composite splats front to back: forwards, backwards (reverse mode) and sideways (with tangents, forward mode).
 
 A tile (`layout.tile_side`) has one list of splats, front to back. They come in batches that fit the first-level cache; within a batch
 each 16×16 patch of the tile takes the splats whose box it meets, sixteen boxes a comparison. A row of a patch is one register
@@ -8,6 +8,21 @@ running difference, so no per-pixel lists are kept. Their sums over a tile are c
 
 A finished pixel (the next splat would leave less than 1e-4 of the light) keeps its transmittance with a minus sign: it then fails
 the same comparison for ever after.
+
+Threads draw tiles from a common counter, the longest lists first, until none is left. In each section below, the kernel for a patch is
+called by that for a tile, and that by the one for the picture.
+
+Arguments that several kernels have:
+
+| argument                  | what it is                                                                                      |
+|---------------------------|-------------------------------------------------------------------------------------------------|
+| `batch`, `boxes`, `count` | splats of a batch, and their bounding boxes (see `patch.load_batch`)                            |
+| `x`, `y`                  | the patch's corner from the tile's, pixels                                                      |
+| `channels`                | a tuple of length C: its type carries C into the compiled code                                  |
+| `state`, `at`             | planes of 16×16 numbers of all patches of a tile, and where this patch's planes begin            |
+| `alive`                   | rows of the patch with a pixel that is not finished, as bits                                    |
+| `rows`                    | room for two numbers a row (see `patch.rows_reached`)                                           |
+| `lists`                   | the tiles' lists (see `arguments.Lists`)                                                        |
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
-"""A patch of 16×16 pixels: which splats of a batch meet it, which of its rows they reach, and their opacity there.
-
-The steps that every kernel which composites has in common (see `blend`).
-"""
+"""The steps that all compositing kernels share: which splats of a batch meet a patch of 16×16 pixels, which of its rows they reach, and
+their opacity there (see `blend`)."""
 
 from __future__ import annotations
 
@@ -54,7 +52,7 @@ def aligned(n):
 
 @inlined
 def fill(state, at, value):
-    """One plane of a patch."""
+    """Set one plane of a patch to `value`."""
     for r in range(PATCH):
         store(state, at + r * PATCH, lanes_of(value))
 
@@ -78,6 +76,7 @@ def place(state, at, sign, top, left, out, q):
 
 @inlined
 def place_alpha(state, at, top, left, alpha):
+    """1 − transmittance of a plane into `[H, W]`."""
     for r in range(min(PATCH, alpha.shape[0] - top)):
         for i in range(min(PATCH, alpha.shape[1] - left)):
             alpha[top + r, left + i] = F(1) - abs(state[at + r * PATCH + i])

@@ -260,7 +260,7 @@ def project(model, offsets, colors, view, side, near, blur, antialiased, splats,
 def _sum_over_tiles(i, box, pair_starts, places, used, slot_starts, tiles_x, slot_grads, width):
     """The sum of a Gaussian's slots, a row of `width` numbers each (lanes beyond it are noise), and how many there were.
 
-    Row 0 is zero: list entries that no tile needed read it, which costs less than a branch nobody can predict.
+    Entries that their tile did not need read slot 0, which is zero: that costs less than a branch, which would be mispredicted often.
     """
     sums, found = lanes_of(F(0)), 0
     tile, column, columns = box[i, 1] * tiles_x + box[i, 0], 0, box[i, 2]

@@ -1,5 +1,8 @@
-"""Colours from spherical harmonics, and back. Directions and basis functions go by sixteens; a Gaussian's coefficients lie together
-in memory and are read once, one after another."""
+"""Colours from spherical harmonics, and their gradients.
+
+Directions and basis functions are computed for sixteen Gaussians at once. A Gaussian's coefficients lie together in memory and are read
+once, one after another.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """A view's weights, computed once and kept: W and its transpose as products with a sparse matrix.
 
-The picture is cut into blocks of 8×8 pixels. A splat and a block that it contributes to are a *meeting*; its 64 weights are kept as
-multiples of 1/65535, block by block and front to back. That is 128 bytes a meeting, where to composite it again takes exponentials and
-the transmittance. A block's pixels fill four registers a channel, which stay where they are while its meetings go by. The background
-counts as one more splat behind all the others.
+The picture is cut into blocks of 8×8 pixels. A splat and a block that it contributes to are a *meeting*. Its 64 weights are kept as
+multiples of 1/65535, block by block and front to back: 128 bytes a meeting. To read them is cheaper than to composite again, which takes
+exponentials and the transmittance. A block's pixels fill four registers a channel, which hold them while its meetings are added. The
+background counts as one more splat behind all the others.
 """
 
 from __future__ import annotations
@@ -83,10 +83,14 @@ def _blocks_of(shape):
 
 @kernel()
 def _meet(splat, met, one, where_to, keep, splats, weights):
-    """A splat's meetings with a patch's four blocks: with those that `met` has eight bits other than 0 for. `one`: its weights there.
+    """Enter a splat's meetings with the four blocks of a patch.
 
     Args:
-        where_to: row and column of the first of them; how many are down and across; for all of these, where their next meeting goes.
+        met: 32 bits, eight a block: a block is met where one of them is set.
+        one: the splat's weights in the patch.
+        where_to: row and column of the first block; how many blocks are down and across the picture; for each of these, where its next
+            meeting goes.
+        keep: whether meetings are written into `splats` and `weights`, or only counted.
     """
     row, column, blocks, ends = where_to
     for q in range(4):
