@@ -9,19 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sized
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.compiled import inlined, kernel
 from rtgs.maths.sh import C0, C1, C2, C3
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
-_jit = nb.njit(nogil=True, fastmath=True, cache=True)
 
-
-@nb.njit(fastmath=True, inline="always")
+@inlined
 def _fill_basis(means: Floats, n: int, centre: Floats, b: Floats) -> None:
     """`rtgs.maths.sh.basis` in the direction from the camera to Gaussian n, into `b` `[K]`."""
     b[0] = C0
@@ -41,7 +39,7 @@ def _fill_basis(means: Floats, n: int, centre: Floats, b: Floats) -> None:
             b[13], b[14], b[15] = C3[4] * x * (4 * zz - xx - yy), C3[5] * z * (xx - yy), C3[6] * x * (xx - 3 * yy)
 
 
-@_jit
+@kernel("fastest", concurrent=True, checks_division=True)
 def _colors_of(
     means: Floats, centre: Floats, visible: Ints, sh: Floats, coefficients: Sized, channels: Sized, out: Floats
 ) -> None:
@@ -55,7 +53,7 @@ def _colors_of(
             out[n, c] = color
 
 
-@_jit
+@kernel("fastest", concurrent=True, checks_division=True)
 def _add_transpose(
     means: Floats, centre: Floats, visible: Ints, colors: Floats, coefficients: Sized, channels: Sized, out: Floats
 ) -> None:
@@ -82,7 +80,7 @@ def _sizes(sh: Floats) -> tuple[Sized, Sized]:
     return (0,) * sh.shape[1], (0,) * sh.shape[2]
 
 
-@_jit
+@kernel("fastest", concurrent=True, checks_division=True)
 def add_blocks(means: Floats, centre: Floats, weights: Floats, out: Floats) -> None:
     """out `[N, K, K]` += weights `[N]` · basis ⊗ basis."""
     count, k, _ = out.shape

@@ -7,12 +7,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from rtgs.base.compiled import kernel
 from rtgs.maths.planes import Planes, add_each
 from rtgs.thermal.design import Design
 from rtgs.thermal.least_squares import Problem, Solution, dot, picture_of, planes_of, ratio
@@ -148,7 +148,7 @@ class _Misfit:
         return self.left - self._step[:, None] * self._move
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@kernel("fastest", concurrent=True)
 def _moments(left: Planes, given: Planes, level: Planes, bound: Planes, values: Planes) -> NDArray[np.float64]:
     out = np.empty((len(left), 3))
     for c in range(len(left)):
@@ -162,7 +162,7 @@ def _moments(left: Planes, given: Planes, level: Planes, bound: Planes, values: 
     return out
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@kernel("fastest", concurrent=True)
 def _mean(left: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes) -> Planes:
     """`[C]`: the weighted mean of the residuals; 0 in columns without offsets."""
     out = np.zeros(len(left), np.float32)
@@ -172,7 +172,7 @@ def _mean(left: Planes, given: Planes, level: Planes, bound: Planes, offsets: Pl
     return out
 
 
-@nb.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@kernel("fastest", concurrent=True)
 def _weigh(
     left: Planes, step: Planes, move: Planes, given: Planes, level: Planes, bound: Planes, offsets: Planes, out: Planes
 ) -> Planes:

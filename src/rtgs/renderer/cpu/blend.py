@@ -197,7 +197,7 @@ def _blend_patch_backward(batch, boxes, count, x, y, channels, state, at, alive,
                 remains = load(state, i + AREA) - w * here
                 store(state, i + AREA, remains)
                 colors = add_scaled(colors, w, state, i + 2 * AREA, AREA)
-                # E = α·∂L/∂α; a held α does not move.
+                # E = α·∂L/∂α = ∂L/∂ln α; zero where α is held at its maximum.
                 e = al * (t * here - remains / (F(1) - al))
                 e = where(is_open & (al < F(ALPHA_MAX)), e, F(0))
                 dy = F(r) + F(0.5) - from_y
@@ -408,7 +408,7 @@ def _blend_patch_tangents(
                 for c in range(channel_count):
                     i += AREA
                     store(state, i, load(state, i) + w * batch[s + COLORS + c])
-                moves = where(al < F(ALPHA_MAX), w, F(0))  # a held α does not move
+                moves = where(al < F(ALPHA_MAX), w, F(0))  # zero where α is held at its maximum
                 al = where(is_open, al, F(0))
                 for j in range(ways):
                     i += AREA
