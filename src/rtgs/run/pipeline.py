@@ -58,7 +58,7 @@ class Pipeline:
             raise RtgsError(f"--out {out}: exists and is no run folder; choose another one.")
         if not capture.is_dir():
             raise RtgsError(f"{capture}: no such folder; a capture holds rgb/, thermal/ and rig.json.")
-        _check_rgb_ply(config, folder)
+        _check_settings(config, folder)
         with locked(out):
             hashes = Hashes(out)
             content = read_content(capture, config.rgb_ply and config.rgb_ply.resolve(), hashes)
@@ -88,7 +88,7 @@ class Pipeline:
         Raises:
             RtgsError: the folder holds no run, another process is writing to it, or the model to import is none.
         """
-        _check_rgb_ply(replace(folder.read_config().config, **settings), folder)
+        _check_settings(replace(folder.read_config().config, **settings), folder)
         with locked(folder.path):
             saved = folder.read_config()
             folder.write_config(replace(saved, config=replace(saved.config, **settings)))
@@ -143,7 +143,7 @@ def _check_same_capture(capture: Path, content: Content, folder: RunFolder) -> N
         raise RtgsError(f"--out {folder.path}: is a run of {saved.capture}; choose another folder, or remove that one.")
 
 
-def _check_rgb_ply(config: RunConfig, folder: RunFolder) -> None:
+def _check_settings(config: RunConfig, folder: RunFolder) -> None:
     """Refuse a model to import, or a back end, before any long work, and before the run is changed."""
     check_backend(config.rgb.backend)
     if config.rgb_ply is not None:
