@@ -29,14 +29,14 @@ def test_how_many_rows_are_used() -> None:
     settings, valid = LinearSettings(), torch.ones(512, 640)
     assert choose_rows(photographs(12, valid[:120, :160]), settings)[0] == 1
     every, decision = choose_rows(photographs(35, valid), settings)
-    assert every == 4 and decision.choice == "1 in 4" and "11.5 million" in decision.reason
+    assert every == 4 and decision.choice == "1 in 4" and "11,468,800" in decision.reason
     assert choose_rows(photographs(5000, valid), settings)[0] == settings.most_rows
     valid[settings.most_rows // 2 :: settings.most_rows] = 0.0  # a mask that leaves none of these
     assert choose_rows(photographs(5000, valid), settings)[0] == 1
 
 
 def vignetted(settings: LinearSettings) -> Validation:
-    """The ball of `ring` with vignetting, which lowers the error of validation frames by far more than a tenth."""
+    """The ball of `ring` with vignetting, without which the error of validation frames is lower by far more than a tenth."""
     scene, rgb, _ = ring()
     bent = changed(scene, lambda i, t: t + 2.0 * np.linspace(-1, 1, t.shape[1]) ** 2)
     return Validation.of(fit_of(bent, rgb, settings=settings))
@@ -77,7 +77,10 @@ class Preferring(Validation):
 def test_the_ridge_with_the_smallest_error_is_chosen() -> None:
     """And what it leads to is its own: the weaker the ridge, the more view dependence."""
     factors, sizes = (30.0, 3.0, 0.3, 0.01), []
-    fit = fit_of(ring()[0], ring()[1], settings=LinearSettings(ridge_factors=factors))
+    settings = LinearSettings(
+        ridge_factors=factors, stop_share_ridge=-math.inf, iterations=6
+    )  # six iterations, whatever the errors
+    fit = fit_of(ring()[0], ring()[1], settings=settings)
     start = Fitted.of(fit, fit.coverage.prior[:, None])[0]
     for best in range(4):
         validation = Preferring(fit, [4, 12])
@@ -95,7 +98,7 @@ def test_what_the_user_asks_for_is_done_and_said(asked: DriftKind) -> None:
     validation = Validation.of(fit_of(ring()[0], ring()[1]))
     first = first_solve(validation)
     kind, drift = choose_drift(validation, first, asked)
-    kind, _, gains = choose_gains(validation, kind, first.under(kind), asked, False)
+    kind, _, gains = choose_gains(validation, kind, first.under(kind), asked)
     assert kind == asked and drift.choice == ("off" if asked == "off" else "offset")
     assert gains.choice == ("on" if asked == "gain-offset" else "off")
     assert "setting" in drift.reason and asked in drift.reason and asked in gains.reason

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,7 +66,7 @@ def test_a_sensors_pattern_is_told_from_the_scene(drift_c: float) -> None:
     assert model.sensor.pattern is not None and model.sensor.pattern.dtype == np.float32
     assert bool(model.sensor.drift) == (drift_c > 0)
     assert (model.sensor.pattern - pattern).std() < 0.3 * pattern.std()
-    never = replace(LinearSettings(), pattern_gain=math.inf)
+    never = LinearSettings(pattern_gain=math.inf)
     ignored = fit_linear(scene, rgb, SFM_PER_METRE, ThermalConfig(), settings=never)
     assert ignored.sensor.pattern is None
     photographs, truths = [], []

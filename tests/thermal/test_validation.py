@@ -33,8 +33,7 @@ def test_errors_ignore_the_drift_that_suits_a_frame_best() -> None:
     moved = [fit.median + 0.05 + 1.1 * (y - fit.median) for y in fit.data.images]
     exact, offset, none = (float(validation.errors(k, moved).sum()) for k in ("gain-offset", "offset", "off"))
     assert exact < 1e-3 * offset and offset < 0.9 * none
-    assert validation.own_drift_share("off", moved) > 0.999
-    assert validation.level_error("gain-offset", moved) < 1e-3 * none  # all frames have it: the gauge removes it
+    assert validation.own_drift_share("off", moved) > 0.999 and validation.own_drift_share("gain-offset", moved) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -66,13 +65,13 @@ def test_a_split_names_the_validation_frames() -> None:
 @pytest.mark.parametrize(
     ("errors", "ends"),
     [
-        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99], [6.98, 7.98]], 4),  # all are settled
-        ([[8.0, 9.0], [7.0, 8.5], [6.99, 8.2], [6.98, 7.9]], 4),  # the other falls, and would be behind if it fell as much again
-        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.1]], None),  # would be ahead
-        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], None),  # the best itself still falls
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.99]], 3),  # no column falls by 2 % any more
+        ([[8.0, 9.0], [7.0, 8.0], [6.99, 7.5], [6.98, 7.49]], 4),  # the one behind still fell, and might have won
+        ([[8.0, 7.0], [7.0, 6.99], [6.5, 6.98], [6.0, 6.97]], None),  # the best one still falls
+        ([[8.0, 9.0], [8.1, 9.5]], 2),  # errors rise
     ],
 )
-def test_iterations_end_when_nothing_can_change_who_wins(errors: list[list[float]], ends: int | None) -> None:
+def test_iterations_end_when_no_error_falls_any_more(errors: list[list[float]], ends: int | None) -> None:
     stopping = EarlyStopping(Validation(fit_of(ring()[0], ring()[1]), [4]), ["off", "off"], 0.02)
     settled = [stopping.is_enough(torch.tensor(e)) for e in errors]
     assert settled == [turn + 1 == ends for turn in range(len(errors))]
@@ -87,4 +86,4 @@ def test_early_stopping_measures_the_unknowns_it_is_given() -> None:
     images = {f: fit.design.image(f, x[:, :1])[..., 0] for f in (4, 12)}
     expected = torch.stack([validation.errors("off", images).sum(), validation.errors("offset", images).sum()])
     torch.testing.assert_close(stopping.errors, expected)
-    assert [stopping(x), stopping(x)] == [False, True]  # no fall over two iterations
+    assert stopping(x)  # nothing has moved

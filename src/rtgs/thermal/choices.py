@@ -28,45 +28,28 @@ def choose_rows(data: ThermalFrames, settings: LinearSettings) -> tuple[int, Dec
     every = min(max(round(pixels / settings.pixels), 1), settings.most_rows)
     if not bool(data.valid[every // 2 :: every].any()):
         return 1, Decision("rows", "all", f"No row of every {every}th has a valid pixel.")
-    millions = f"The photographs have {pixels / 1e6:.1f} million pixels; about {settings.pixels / 1e6:.1f} million are enough."
-    return every, Decision("rows", "all" if every == 1 else f"1 in {every}", millions)
-
-
-def looks_drifting(validation: Validation, first: FirstSolve) -> bool:
-    """Whether gains and offsets of the validation frames' own would explain enough of their error to consider drift at all."""
-    if not validation.is_enough:
-        return False
-    return validation.own_drift_share("off", first.no_offsets.images) >= validation.fit.settings.offset_share
+    reason = f"The photographs have {pixels:,} pixels in all; about {settings.pixels:,} are enough."
+    return every, Decision("rows", "all" if every == 1 else f"1 in {every}", reason)
 
 
 def choose_drift(validation: Validation, first: FirstSolve, asked: Asked) -> tuple[DriftKind, Decision]:
     """Whether each frame has an offset. Gains are chosen later, when the pattern is known."""
-    settings, before, after = validation.fit.settings, first.no_offsets.images, first.offsets.images
-    errors = [validation.errors("offset", i) for i in (before, after)] if validation.frames else None
-
-    def decided(choice: str, reason: str) -> Decision:
-        return _decision("drift", choice, reason, validation, errors, settings.drift_gain)
-
+    settings, errors, share = validation.fit.settings, None, 0.0
+    if validation.frames:
+        errors = [validation.errors("offset", model.images) for model in (first.no_offsets, first.offsets)]
+        share = validation.own_drift_share("off", first.no_offsets.images)
+    kind: DriftKind = "offset"
     if asked != "auto":
-        return asked, decided("off" if asked == "off" else "offset", f"The setting drift = {asked} asks for it.")
-    if errors is None or not validation.is_enough:
-        return "off", decided("off", _too_few(validation))
-    if not looks_drifting(validation, first):
-        share = validation.own_drift_share("off", before)
-        return "off", decided(
-            "off",
-            f"Offsets and gains would explain {_percent(share)} of the error on validation frames; "
-            f"drift is considered from {_percent(settings.offset_share)} on.",
-        )
-    if not is_clearly_less(errors[1], errors[0], settings.drift_gain):
-        return "off", decided("off", _criterion("Offsets do not clearly lower", settings.drift_gain))
-    level = validation.level_error("offset", after) / float(validation.errors("off", before).sum())
-    if level > settings.level_loss:
-        return "off", decided(
-            "off",
-            _levels("offsets", level, settings),
-        )
-    return "offset", decided("offset", _criterion("Offsets lower", settings.drift_gain))
+        kind, reason = asked, f"The setting drift = {asked} asks for it."
+    elif errors is None or not validation.is_enough:
+        kind, reason = "off", _too_few(validation)
+    elif share < settings.drift_share:
+        kind, reason = "off", _explains_little(share, settings)
+    elif is_clearly_less(errors[1], errors[0], settings.drift_gain):
+        reason = _clearly("Offsets lower", settings.drift_gain)
+    else:
+        kind, reason = "off", _clearly("Offsets do not clearly lower", settings.drift_gain)
+    return kind, _decision("drift", "off" if kind == "off" else "offset", reason, validation, errors, settings.drift_gain)
 
 
 def choose_pattern(validation: Validation, first: FirstSolve) -> tuple[bool, Decision]:
@@ -76,63 +59,49 @@ def choose_pattern(validation: Validation, first: FirstSolve) -> tuple[bool, Dec
     without the common surface, which may explain the pattern by the scene: a wall that stays at the top of all photographs is no
     vignetting.
     """
-    fit, settings = validation.fit, validation.fit.settings
+    fit = validation.fit
     if not validation.is_enough:
         return False, Decision("pattern", "none", _too_few(validation))
     pattern = fit.pattern("offset", first.offsets.images, validation.others)
     before = validation.without_surface().errors("gain-offset", first.no_surface.images)
     after = Validation(fit.without(pattern), validation.frames).errors("gain-offset", first.offsets.images)
-    found = is_clearly_less(after, before, settings.pattern_gain)
-    reason = _criterion("It lowers" if found else "It does not clearly lower", settings.pattern_gain)
-    return found, _decision("pattern", "removed" if found else "none", reason, validation, [before, after], settings.pattern_gain)
+    share = fit.settings.pattern_gain
+    found = is_clearly_less(after, before, share)
+    reason = _clearly("It lowers" if found else "It does not clearly lower", share)
+    return found, _decision("pattern", "removed" if found else "none", reason, validation, [before, after], share)
 
 
-def choose_gains(
-    validation: Validation, kind: DriftKind, start: Fitted, asked: Asked, is_drifting: bool
-) -> tuple[DriftKind, Fitted, Decision]:
+def choose_gains(validation: Validation, kind: DriftKind, start: Fitted, asked: Asked) -> tuple[DriftKind, Fitted, Decision]:
     """Whether each frame has a gain besides its offset.
 
     Args:
         validation: with the sensor's pattern removed, because vignetting looks like gains.
         kind, start: drift as chosen so far, and its model.
-        is_drifting: whether drift is considered at all (`looks_drifting`).
 
     Returns:
         The kind of drift, its model after a few more iterations if gains are fitted, and the decision.
     """
-    settings, gains = validation.fit.settings, GAINS
-
-    def no(reason: str, errors: Sequence[Tensor] | None = None) -> tuple[DriftKind, Fitted, Decision]:
-        return kind, start, _decision("gains", "off", reason, validation, errors, settings.drift_gain)
-
+    settings = validation.fit.settings
     if asked == "gain-offset":
         reason = f"The setting drift = {asked} asks for it."
-        return gains, few_iterations(validation, gains, start), Decision("gains", "on", reason)
+        return GAINS, few_iterations(validation, GAINS, start), Decision("gains", "on", reason)
     if asked != "auto":
-        return no(f"The setting drift = {asked} excludes gains.")
+        return kind, start, Decision("gains", "off", f"The setting drift = {asked} excludes gains.")
     if not validation.is_enough:
-        return no(_too_few(validation))
-    if not is_drifting:
-        return no("The photographs do not look as if they drifted (see drift).")
+        return kind, start, Decision("gains", "off", _too_few(validation))
+    if kind == "off":
+        return kind, start, Decision("gains", "off", "Gains are considered only where there are offsets.")
     share = validation.own_drift_share(kind, start.images)
-    if share < settings.gain_share:
-        return no(
-            f"Gains would explain {_percent(share)} of the error that is left; "
-            f"they are considered from {_percent(settings.gain_share)} on."
-        )
-    before, after = few_iterations(validation, kind, start), few_iterations(validation, gains, start)
-    errors = [validation.errors(gains, i.images) for i in (before, after)]
+    if share < settings.drift_share:
+        return kind, start, Decision("gains", "off", _explains_little(share, settings))
+    before, after = few_iterations(validation, kind, start), few_iterations(validation, GAINS, start)
+    errors = [validation.errors(GAINS, model.images) for model in (before, after)]
     if not is_clearly_less(errors[1], errors[0], settings.drift_gain):
-        return no(_criterion("Gains do not clearly lower", settings.drift_gain), errors)
-    level = validation.level_error(gains, after.images) / validation.level_error(kind, before.images)
-    if level > settings.level_loss:
-        return no(
-            _levels("gains", level, settings),
-            errors,
-        )
-    reason = _criterion("Gains lower", settings.drift_gain)
+        reason = _clearly("Gains do not clearly lower", settings.drift_gain)
+        return kind, start, _decision("gains", "off", reason, validation, errors, settings.drift_gain)
+    reason = _clearly("Gains lower", settings.drift_gain)
     decision = _decision("gains", "on", reason, validation, errors, settings.drift_gain)
-    return gains, few_iterations(validation, gains, after), decision
+    return GAINS, few_iterations(validation, GAINS, after), decision
 
 
 def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tuple[float, Fitted, Decision]:
@@ -168,18 +137,16 @@ def _decision(
     return Decision(name, choice, reason, before, after, data.unit, threshold)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * max(share, 0.0):.2g} %"
+def _explains_little(share: float, settings: LinearSettings) -> str:
+    needed = f"{100 * settings.drift_share:g} % are required"
+    return (
+        f"The frames' own offsets and gains would explain only {100 * share:.2g} % of the error on validation frames; {needed}."
+    )
 
 
-def _criterion(what_happens: str, share: float) -> str:
-    required = f"required: by {_percent(share)}, by more than a standard error, and in most frames"
+def _clearly(what_happens: str, share: float) -> str:
+    required = f"required: by {100 * share:g} %, by more than a standard error, and in most frames"
     return f"{what_happens} the error within validation frames ({required})."
-
-
-def _levels(which: str, ratio: float, settings: LinearSettings) -> str:
-    allowed = f"{settings.level_loss:g} times is allowed"
-    return f"With {which}, the error of levels is {ratio:.2f} times the error without; {allowed}."
 
 
 def _too_few(validation: Validation, needed: int | None = None) -> str:

@@ -24,7 +24,7 @@ class FinalFit:
 
 
 def fit_all_frames(fit: Fit, factor: float, kind: DriftKind, start: Fitted, passes: Passes) -> FinalFit:
-    """A few more iterations from `start`, on all frames. Gains alternate with the colours.
+    """A few more iterations from `start`, on all frames, with the gains that suit the images of `start`.
 
     Iterations are few on purpose: what conjugate gradients find late is what fits the noise.
 
@@ -41,18 +41,13 @@ def fit_all_frames(fit: Fit, factor: float, kind: DriftKind, start: Fitted, pass
         history["loss"].append(rms)
         passes.text = f"residual {rms:.4f}"
 
-    found, weights = start, fit.pixel_weights
-    turn = fit.settings.gain_iterations if kind == "gain-offset" else iterations
-    for done in range(0, iterations, max(turn, 1)):
-        drift = fit.drift(kind, found.images, weights)
-        note(done, drift, found)
-        problem = fit.problem((factor,), frames, drift=(kind, in_gauge(drift)[0]))
-        shown = [i[..., None] for i in found.images]
-        count = min(turn, iterations - done)
-        solution = solve_robustly(problem, found.x, huber=fit.settings.huber, iterations=count, shown=shown, each=passes)
-        found = Fitted(solution.x, [solution.shown(f)[..., 0] for f in frames])
-        weights = [solution.weights(f)[..., 0] for f in frames]
-    drift = fit.drift(kind, found.images, weights)
+    drift = fit.drift(kind, start.images)
+    note(0, drift, start)
+    problem = fit.problem((factor,), frames, drift=(kind, in_gauge(drift)[0]))
+    shown = [i[..., None] for i in start.images]
+    solution = solve_robustly(problem, start.x, huber=fit.settings.huber, iterations=iterations, shown=shown, each=passes)
+    found = Fitted(solution.x, [solution.shown(f)[..., 0] for f in frames])
+    drift = fit.drift(kind, found.images, [solution.weights(f)[..., 0] for f in frames])
     note(iterations, drift, found)
     return FinalFit(found, drift, history)
 

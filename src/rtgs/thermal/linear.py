@@ -60,12 +60,11 @@ def fit_linear(
         validation = Validation.of(fit, scene.split)
         first = first_solve(validation)
         kind, drift = choices.choose_drift(validation, first, config.drift)
-        is_drifting = config.drift == "auto" and choices.looks_drifting(validation, first)
         found = first.under(kind)
         has_pattern, pattern = choices.choose_pattern(validation, first)
         clean = fit.without(fit.pattern(kind, found.images, validation.others)) if has_pattern else fit
         validation = Validation(clean, validation.frames)
-        kind, found, gains = choices.choose_gains(validation, kind, found, config.drift, is_drifting)
+        kind, found, gains = choices.choose_gains(validation, kind, found, config.drift)
         factor, found, ridge = choices.choose_ridge(validation, kind, found)
 
         # The fit on all frames. The pattern is taken anew, from images that have no part in it any more.

@@ -33,18 +33,17 @@ class LinearSettings:
 
     # Iterations.
     iterations: int = 60
-    """Most iterations of a solver while validation frames can stop it. Early stopping needed 40 at most on all captures tried."""
+    """Most iterations of a solver while validation frames can stop it. A bound for safety: early stopping needs fewer."""
     unvalidated_iterations: int = 20
-    """Iterations where there is no validation frame. About what early stopping takes elsewhere."""
+    """Iterations where there is no validation frame. About as many as early stopping takes elsewhere."""
     last_iterations: int = 12
     """Iterations on all training frames, from the solution without validation frames. Chosen on validation frames."""
     gain_iterations: int = 4
-    """Iterations between two estimates of the frames' gains. Gains settle faster than colours; more changes nothing that is measurable."""
-    stop_after: int = 2
-    """Early stopping looks back so many iterations. One alone may do nothing by chance."""
+    """Iterations after which models with and without gains are compared, and after which gains are estimated anew. Gains settle faster
+    than colours."""
     stop_share_first: float = 0.02
-    """The first solve stops when the validation error falls by less than this share over `stop_after` iterations. It only has to be
-    good enough to compare models. Chosen on validation frames."""
+    """The first solve stops when no iteration lowers a validation error by this share any more. It only has to be good enough to compare
+    models. Chosen on validation frames."""
     stop_share_ridge: float = 0.01
     """The same while the ridge is chosen. Its solution is kept, so it goes on for longer. Chosen on validation frames."""
 
@@ -53,24 +52,18 @@ class LinearSettings:
     """Bound of Huber's loss, in root mean squares of the residuals at the start: residuals count by their square below and by their size
     beyond. Errors of the geometry are large in few pixels. Chosen on validation frames."""
 
-    # Drift of the photographs.
-    offset_share: float = 0.05
-    """Drift is considered if gains and offsets of the validation frames' own would explain this share of their error. Without drift
-    they explain 1 to 3 %."""
-    gain_share: float = 0.02
-    """Gains are considered if they would explain this share of what is left. Without gains they explain less than 1 %."""
+    # Drift and the sensor's pattern.
+    drift_share: float = 0.02
+    """Offsets (gains) are considered only if offsets and gains of the validation frames' own would explain this share of their error.
+    Where the geometry is nearly exact, a model with more unknowns is better by tiny amounts that are clear all the same."""
     drift_gain: float = 0.005
-    """Share by which offsets (or gains) must lower the error within validation frames. Below it, fits that differ by chance differ."""
-    level_loss: float = 1.25
-    """Factor by which the error of levels, drift predicted from neighbours, may rise with offsets. Where offsets follow the camera's
-    path, view-dependent colours predict levels better; a quarter more was chosen as the price of better temperatures of the scene."""
+    """Share by which offsets (or gains) must lower the error within validation frames, besides being more than a standard error and in
+    most frames. The smallest difference that is worth an unknown more for each frame; chosen on validation frames."""
     gain_limits: tuple[float, float] = (0.5, 2.0)
     """Limits of a frame's gain. No useful automatic gain control goes beyond; a frame without contrast could have any gain."""
-
-    # The sensor's pattern.
     pattern_gain: float = 0.1
-    """Share by which the pattern must lower the error within validation frames. Real vignetting explains a third of the error or more;
-    errors of the geometry that stay in the same place of all photographs look like a pattern that explains a twentieth."""
+    """The same share for the sensor's pattern. Real vignetting explains a third of the error or more. Errors of the geometry that stay in
+    the same place of all photographs look like a pattern that explains a twentieth."""
 
     # Work.
     pixels: int = 2_800_000

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from rtgs.models.sensor import predicted_drift
 from rtgs.records.capture import Split
-from rtgs.thermal.drift import DriftKind, estimate_drift, in_gauge
+from rtgs.thermal.drift import DriftKind, estimate_drift
 from rtgs.thermal.fit import Fit
 
 
@@ -21,7 +19,7 @@ class Validation:
     """The validation frames of a fit, V of F, and the errors of models on them.
 
     A validation frame's own offset and gain are unknown, because the frame is not fitted. Models are therefore compared by differences
-    *within* frames: by the error after the offset (or gain and offset) that suits the frame best. `level_error` looks at levels.
+    *within* frames: by the error after the offset (or gain and offset) that suits the frame best.
 
     Attributes:
         frames: indices of the validation frames.
@@ -70,25 +68,10 @@ class Validation:
             left = left - _best_surface(self.surface, left, valid)
         return (valid * left.abs()).sum((1, 2))
 
-    def level_error(self, kind: DriftKind, images: Sequence[Tensor]) -> float:
-        """Σ of errors on the validation frames with drift predicted from their neighbours, as for a held-out frame.
-
-        Args:
-            images: `[h, w]` of all frames.
-        """
-        fit = self.fit
-        drift, gain, offset = in_gauge(fit.drift(kind, images).only(self.others))
-        away = torch.stack([drift.gain - 1.0, drift.offset], dim=1).double().numpy()
-        shown = {}
-        for f in self.frames:
-            own_gain, own_offset = predicted_drift(away, away[:, 1], bisect(self.others, f))
-            scene = gain * (images[f] - fit.median) + offset
-            shown[f] = fit.median + float(own_offset) + (1.0 + float(own_gain)) * scene
-        return float(self.errors("off", shown).sum())
-
     def own_drift_share(self, kind: DriftKind, images: Sequence[Tensor]) -> float:
-        """Share of the error under `kind` that gains and offsets of the validation frames' own would explain."""
-        return 1.0 - float(self.errors("gain-offset", images).sum()) / max(float(self.errors(kind, images).sum()), 1e-30)
+        """Share of the error under `kind` that offsets and gains of the validation frames' own would explain, from 0 to 1."""
+        with_own, without = (float(self.errors(k, images).sum()) for k in ("gain-offset", kind))
+        return max(1.0 - with_own / max(without, 1e-30), 0.0)
 
     def mean(self, errors: Tensor) -> float:
         """Mean absolute error of a pixel, in units of the range, of `errors` `[V]`."""
@@ -116,10 +99,9 @@ def is_clearly_less(errors: Tensor, before: Tensor, share: float) -> bool:
 
 
 class EarlyStopping:
-    """Ends a multi-right-hand-side solve when more iterations do little for the error on validation frames.
+    """Ends a multi-right-hand-side solve when another iteration does little for the error on validation frames.
 
-    A column is settled when its error falls by less than `share` over the last `stop_after` iterations. All columns must be settled,
-    except those that would stay behind the best even if they fell by as much again: what is ahead now need not be ahead in the end.
+    That is when an iteration lowers the error of no column by `share` or more.
 
     Args:
         kinds: of drift, one for each column.
@@ -130,10 +112,8 @@ class EarlyStopping:
     """
 
     def __init__(self, validation: Validation, kinds: Sequence[DriftKind], share: float) -> None:
-        self.errors = torch.zeros(len(kinds))
+        self.errors = torch.full((len(kinds),), math.inf)
         self._validation, self._kinds, self._share = validation, kinds, share
-        self._after = validation.fit.settings.stop_after
-        self._history = [torch.full((len(kinds),), math.inf)] * self._after
 
     def __call__(self, x: Tensor) -> bool:
         """`settled` of a solver: whether unknowns `[D, C]` are good enough."""
@@ -146,8 +126,5 @@ class EarlyStopping:
 
     def is_enough(self, errors: Tensor) -> bool:
         """Whether to stop after another iteration led to these errors `[C]`."""
-        self.errors = errors
-        self._history.append(errors)
-        fall = self._history[-1 - self._after] - errors
-        is_behind = errors - fall > errors.min()
-        return bool((is_behind | (fall < self._share * (errors + fall))).all())
+        before, self.errors = self.errors, errors
+        return bool((errors > (1.0 - self._share) * before).all())
