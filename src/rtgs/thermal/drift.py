@@ -4,7 +4,7 @@
 
 Offsets come from the camera's zero, which moves between two of its calibrations; gains from automatic gain control. The solvers eliminate
 offsets exactly: neighbouring frames share nearly everything, and slow drift along a path would take very many turns of alternation.
-Gains multiply the unknowns, so they alternate with the colours.
+Gains multiply the unknowns, so they are estimated between solves, from the images of the solve before.
 """
 
 from __future__ import annotations
