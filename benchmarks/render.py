@@ -148,7 +148,8 @@ def peak_mib() -> float:
 
 
 def measure_times(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
-    model, calls = random_cloud(gaussians), {}
+    model = random_cloud(gaussians)
+    calls: dict[str, Callable[[], object]] = {}
     for size in sizes:
         camera, pose = view(size)
         calls[f"forward|{size}"] = forward(model, camera, pose)
@@ -167,7 +168,8 @@ def measure_memory(sizes: list[int], gaussians: int) -> Numbers:
 
 
 def measure_avx2(sizes: list[int], gaussians: int, repeats: int, inspect_code: bool) -> Numbers:
-    model, calls = random_cloud(gaussians), {}
+    model = random_cloud(gaussians)
+    calls: dict[str, Callable[[], object]] = {}
     for size in sizes:
         calls[f"forward|{size}"] = forward(model, *view(size))
         calls[f"forward and backward|{size}"] = both(model, *view(size))
@@ -182,7 +184,8 @@ def registers(kind: str) -> int:
 
 
 def measure_threads(sizes: list[int], gaussians: int, repeats: int, threads: tuple[int, ...] = (1, 2)) -> Numbers:
-    model, ms, results = random_cloud(gaussians), {}, {}
+    model, results = random_cloud(gaussians), {}
+    ms: Numbers = {}
 
     def with_threads(n: int, call: Callable[[], Any]) -> Callable[[], Any]:
         def run() -> Any:
@@ -213,7 +216,7 @@ def measure_threads(sizes: list[int], gaussians: int, repeats: int, threads: tup
 
 
 def measure_growth(counts: list[int], sizes: list[int], gaussians: int, repeats: int) -> Numbers:
-    calls = {}
+    calls: dict[str, Callable[[], object]] = {}
     for n in counts:
         model = random_cloud(n)
         calls[f"N|{n}|forward"] = forward(model, *view(400))
@@ -237,7 +240,9 @@ def measure_tangents(sizes: list[int], gaussians: int, repeats: int) -> Numbers:
     """Forward mode, and the linear map from colours to a picture with its transpose."""
     units = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
     directions = [Direction(translation=u) for u in units] + [Direction(rotation_rad=u) for u in units]
-    model, calls, kept = random_cloud(gaussians), {}, {}
+    model = random_cloud(gaussians)
+    calls: dict[str, Callable[[], object]] = {}
+    kept: dict[str, int] = {}
     colors = torch.rand(gaussians, 3, generator=torch.Generator().manual_seed(7))
     for size in sizes:
         camera, pose = view(size)
@@ -353,7 +358,7 @@ class Rival:
         print(request, file=self.process.stdin, flush=True)
         answer = self.process.stdout.readline()
         if not answer:
-            raise SystemExit(f"{self.process.args} ended; its message is above.")
+            raise SystemExit(f"{self.process.args!r} ended; its message is above.")
         return json.loads(answer)
 
     def close(self) -> None:
@@ -374,7 +379,7 @@ def measure_rival(rivals: dict[str, str], size: int, gaussians: int, repeats: in
     out: Numbers = {}
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.npz"
-        arrays = {k: v.numpy() for k, v in model.tensors().items()}
+        arrays: dict[str, Any] = {k: v.numpy() for k, v in model.tensors().items()}
         arrays |= {"camera_from_world": pose.matrix().astype(np.float32), "intrinsics": np.asarray(camera.matrix, np.float32)}
         np.savez(scene, **arrays, weights=loss_weights(size, size).numpy())
 

@@ -63,7 +63,8 @@ def compare(old: Path, new: Path) -> list[str]:
         for file in ("scale.json", "metrics.json", "rgb.ply", "thermal.ply", "thermal_naive.ply"):
             a, b = old / name / "run" / file, new / name / "run" / file
             if file.endswith(".json"):
-                some = differences(*(json.loads(p.read_text(encoding="utf-8")) for p in (a, b)), f"{name}/{file}")
+                before, after = (json.loads(p.read_text(encoding="utf-8")) for p in (a, b))
+                some = differences(before, after, f"{name}/{file}")
             else:
                 some = [] if a.read_bytes() == b.read_bytes() else [f"{name}/{file}: bytes differ"]
             print(f"{name}/{file}: {'identical' if not some else f'{len(some)} differences'}")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,11 +26,11 @@ from rtgs.run.folder import RunFolder
 from rtgs.scale import ScaleEstimate, estimate_scale
 
 
-def seen_by(scene: Scene, frames: list[Frame]) -> Scene:
+def seen_by(scene: Scene, frames: Sequence[Frame]) -> Scene:
     return replace(scene, world_from_rgb={f.name: scene.world_from_rgb[f.name] for f in frames})
 
 
-def halves(frames: list[Frame], split: int) -> tuple[list[Frame], list[Frame]]:
+def halves(frames: Sequence[Frame], split: int) -> tuple[list[Frame], list[Frame]]:
     """Two random disjoint halves, each in the frames' order."""
     order = np.random.default_rng(split).permutation(len(frames))
     first, second = sorted(order[: len(frames) // 2]), sorted(order[len(frames) // 2 :])

@@ -71,7 +71,8 @@ def score(problem: Problem, scene: Scene, model: ThermalModel) -> Score:
         rows.append((psnr(a, b, mask=mask), float(np.abs(error).mean()), float(np.abs(error - np.median(error)).mean())))
         if frame.name in problem.truth:
             truths.append(mae(model.render(scene.rig.thermal, pose), problem.truth[frame.name], mask=mask))
-    return Score(*(float(v) for v in np.mean(rows, axis=0)), truth=float(np.mean(truths)) if truths else None)
+    psnr_db, absolute, differences = (float(v) for v in np.mean(rows, axis=0))
+    return Score(psnr_db, absolute, differences, truth=float(np.mean(truths)) if truths else None)
 
 
 def timed(scene: Scene, problem: Problem, config: ThermalConfig) -> tuple[ThermalModel, float]:

@@ -191,9 +191,8 @@ def comparisons(curves: list[Curve], scales: dict[tuple[str, int], float]) -> li
 def plot(path: Path, curves: list[Curve]) -> None:
     figure, axes = plt.subplots(figsize=(7.0, 3.6), constrained_layout=True)
     for c in curves:
-        style = {"color": COLORS.get(c.name), "alpha": 0.5 if c.seed else 1.0}
         label = None if c.seed else f"{c.name}: {c.steps:,} steps"
-        axes.plot(c.seconds, c.psnr_db, marker=".", label=label, **style)
+        axes.plot(c.seconds, c.psnr_db, marker=".", label=label, color=COLORS.get(c.name), alpha=0.5 if c.seed else 1.0)
     axes.set(xscale="log", xlabel=f"training time, s ({curves[0].threads} threads)", ylabel="held-out PSNR, dB")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(loc="lower right")
@@ -211,8 +210,9 @@ def main() -> None:
     parser.add_argument("--times-four", action="store_true", help="also train best with four times its steps")
     parser.add_argument("--scale", action="store_true", help="also find the metric scale with each model")
     args = parser.parse_args()
-    if args.threads > numba.config.NUMBA_NUM_THREADS:
-        parser.error(f"--threads {args.threads}: Numba was given {numba.config.NUMBA_NUM_THREADS} (NUMBA_NUM_THREADS)")
+    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # Numba sets it from the environment
+    if args.threads > most:
+        parser.error(f"--threads {args.threads}: Numba was given {most} (NUMBA_NUM_THREADS)")
     torch.set_num_threads(args.threads)
     numba.set_num_threads(args.threads)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -226,7 +226,9 @@ def main() -> None:
     runs = [(name, RgbConfig(quality=name, seed=seed)) for seed in args.seeds for name in args.presets]
     if args.times_four:
         best = RgbConfig(quality="best", seed=args.seeds[0])
-        runs.append((TIMES_FOUR, replace(best, steps=4 * best.resolved().steps)))
+        steps = best.resolved().steps
+        assert steps is not None  # a quality gives them
+        runs.append((TIMES_FOUR, replace(best, steps=4 * steps)))
     curves, scales = [], {}
     for name, config in runs:
         curves.append(train(name, scene, config, args.threads, args.out))

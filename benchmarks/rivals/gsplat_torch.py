@@ -14,7 +14,7 @@ from importlib import import_module
 
 import torch
 from gsplat.cuda._torch_impl import _fully_fused_projection, _quat_scale_to_covar_preci, _spherical_harmonics
-from server import load_scene, serve
+from server import Arrays, load_scene, serve
 from torch import Tensor
 
 TILE = 16
@@ -97,11 +97,11 @@ def main() -> None:
         view = (scene["camera_from_world"], scene["intrinsics"], width, height)
         return draw(means, quats, log_scales.exp(), logits.sigmoid(), sh, *view)[..., :3]
 
-    def forward() -> dict[str, object]:
+    def forward() -> Arrays:
         with torch.no_grad():
             return {"image": image().numpy()}
 
-    def both() -> dict[str, object]:
+    def both() -> Arrays:
         for leaf in leaves.values():
             leaf.grad = None
         drawn = image()

@@ -13,6 +13,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,5 +43,6 @@ def serve(forward: Callable[[], Arrays], both: Callable[[], Arrays]) -> None:
             "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10),
         }
         if file:
-            np.savez(file[0].strip(), **result)
+            arrays: dict[str, Any] = dict(result)
+            np.savez(file[0].strip(), **arrays)
         print(json.dumps(answer), file=answers, flush=True)

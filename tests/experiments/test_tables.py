@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +18,11 @@ from rtgs.experiments.tables import Summary, ablation_table, rows_table, table_1
 from rtgs.experiments.variants import FAR, FAR_SCENE, REFERENCE_ROW
 
 
-def record(error_pct: float, start: float = 1.3, method: str = OURS.key, **changes: object) -> Record:
+def record(error_pct: float, start: float = 1.3, method: str = OURS.key, **changes: Any) -> Record:
     found = 4.0 * (1 + error_pct / 100)
-    values = {"scene": "lego", "seed": 0, "half_width_pct": 0.5, "product_error_pct": error_pct / 2, **changes}
+    values: dict[str, Any] = {"scene": "lego", "seed": 0, "half_width_pct": 0.5, "product_error_pct": error_pct / 2, **changes}
     return Record(variant="reference", method=method, truth=4.0, start=4.0 * start, found=found, error_pct=error_pct,
-                  iterations=5, renders=100, seconds=2.0, **values)  # fmt: skip  # type: ignore[arg-type]
+                  iterations=5, renders=100, seconds=2.0, **values)  # fmt: skip
 
 
 def test_statistics() -> None:

@@ -13,7 +13,7 @@ from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import Render, RenderSettings, reference, render
-from rtgs.renderer.settings import ALPHA_MIN, TRANSMITTANCE_MIN, CutOffs
+from rtgs.renderer.settings import ALPHA_MIN, TRANSMITTANCE_MIN, Backend, CutOffs
 
 # gsplat's backward finds a pixel's transmittance again from 1 − α, rounded to 6e-8 where it may be 1e-4, and its kernels are
 # compiled with fast division, root and exponential. On the CPU `gsplat_kernels` computes them in float64.
@@ -22,7 +22,7 @@ BACKEND_LOOSENS = {"cpu": 1.0, "cuda": 10.0 if torch.cuda.is_available() else 1.
 LAW_TOLERANCE = {"cpu": 5e-5, "cuda": 5e-5, "reference": 1e-9}
 
 
-def home(backend: str) -> dict[str, Any]:
+def home(backend: Backend) -> dict[str, Any]:
     """Where and in which precision a back end computes."""
     gpu = backend == "cuda" and torch.cuda.is_available()
     return {"device": "cuda" if gpu else "cpu", "dtype": torch.float64 if backend == "reference" else torch.float32}
@@ -33,14 +33,14 @@ def on_cpu(view: Render) -> Render:
     return Render(view.color.cpu(), view.alpha.cpu(), depth, view.visible.cpu())
 
 
-def draw(gaussians: Gaussians, camera: Camera, pose: SE3, backend: str, **settings: object) -> Render:
+def draw(gaussians: Gaussians, camera: Camera, pose: SE3, backend: Backend, **settings: Any) -> Render:
     """In the back end's own precision."""
     with torch.no_grad():
         return on_cpu(render(gaussians.to(**home(backend)), camera, pose, settings=RenderSettings(backend=backend, **settings)))
 
 
 def value_and_gradients(
-    backend: str, gaussians: Gaussians, camera: Camera, pose: SE3, settings: RenderSettings, weight: Tensor | None = None
+    backend: Backend, gaussians: Gaussians, camera: Camera, pose: SE3, settings: RenderSettings, weight: Tensor | None = None
 ) -> tuple[Render, dict[str, Tensor]]:
     """The render and the gradient of a fixed random linear function of all its images, in float64; `weight` `[H, W]` scales it."""
     here = home(backend)
@@ -96,7 +96,7 @@ def assert_backends_agree(
     settings: RenderSettings,
     pose: SE3 = POSE,
     loosen: float = 1.0,
-    backend: str = "cpu",
+    backend: Backend = "cpu",
 ) -> None:
     """`loosen` multiplies every tolerance."""
     loosen *= BACKEND_LOOSENS[backend]

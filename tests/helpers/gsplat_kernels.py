@@ -110,8 +110,9 @@ class Kernels:
         _ = means.numel() // (n * 3)  # the kernel's launcher divides so too: no Gaussian ends the process
         depth = means.double() @ viewmats[0, 2, :3].double() + viewmats[0, 2, 3].double()
         kept = torch.nonzero(~((depth.float() < near_plane) | (depth.float() > far_plane)))[:, 0]
-        inputs = [x[kept].double() for x in (means, quats, scales)]
-        centres, depths, conics, compensations = project(*inputs, viewmats[0].double(), ks[0].double(), width, height, eps2d)
+        drawable, turns, sizes = (x[kept].double() for x in (means, quats, scales))
+        projected = project(drawable, turns, sizes, viewmats[0].double(), ks[0].double(), width, height, eps2d)
+        centres, depths, conics, compensations = projected
         opacity = opacities[kept].double() * (compensations if calc_compensations else 1.0)
         extend = torch.sqrt(2 * torch.log((opacity * 255).clamp_min(1.0))).clamp_max(3.33)
         variances = conics[:, [2, 0]] / (conics[:, 0] * conics[:, 2] - conics[:, 1] ** 2)[:, None]
@@ -203,8 +204,8 @@ class Kernels:
     ) -> Vjp:
         check_input(means2d=means2d, conics=conics, colors=colors, opacities=opacities, offsets=tile_offsets, ids=ids)
         assert backgrounds is None and masks is None and ids.dtype == tile_offsets.dtype == torch.int32
-        inputs = [x[0].double() for x in (means2d, conics, colors, opacities)]
-        picture = blend(*inputs, width, height, tile_size, tile_offsets[0], ids).float()[None]
+        centres, shapes, shades, strengths = (x[0].double() for x in (means2d, conics, colors, opacities))
+        picture = blend(centres, shapes, shades, strengths, width, height, tile_size, tile_offsets[0], ids).float()[None]
         last_ids = torch.zeros(1, height, width, dtype=torch.int32, device=ids.device)  # the backward below does without
         return picture[..., :-1].contiguous(), picture[..., -1:].contiguous(), last_ids
 
@@ -233,8 +234,8 @@ class Kernels:
         inverse[listed] = torch.arange(len(listed), dtype=torch.int32, device=ids.device)
         tensors = (means2d, conics, colors, opacities)
 
-        def function(*inputs: Tensor) -> Vjp:
-            return (blend(*inputs, width, height, tile_size, tile_offsets[0], inverse[ids.long()]),)
+        def function(centres: Tensor, shapes: Tensor, shades: Tensor, strengths: Tensor) -> Vjp:
+            return (blend(centres, shapes, shades, strengths, width, height, tile_size, tile_offsets[0], inverse[ids.long()]),)
 
         parts = vjp(function, [x[0, listed] for x in tensors], [torch.cat([v_colors, v_alphas], dim=-1)[0]])
         whole = [torch.zeros_like(x) for x in tensors]

@@ -18,7 +18,7 @@ from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import CELSIUS, LinearRange, RelativeCounts
+from rtgs.records.radiometry import CELSIUS, LinearRange, Radiometry, RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
@@ -53,10 +53,19 @@ def assembled(poses: list[SE3], thermal: list[np.ndarray], *, unit: str = "celsi
     return Scene(capture, {f.name: p for f, p in zip(capture.frames, poses, strict=True)}, none, {})
 
 
-def with_thermal(scene: Scene, images: dict[str, np.ndarray], **changes: object) -> Scene:
-    """The same scene with some frames' thermal images replaced."""
-    frames = tuple(replace(f, thermal=images.get(f.name, f.thermal)) for f in scene.capture.frames)
-    return replace(scene, capture=replace(scene.capture, frames=frames, **changes))
+def with_thermal(
+    scene: Scene,
+    images: dict[str, np.ndarray],
+    *,
+    thermal_mask: np.ndarray | None = None,
+    radiometry: Radiometry | None = None,
+) -> Scene:
+    """The same scene with some frames' thermal images replaced; with another mask or radiometry where one is given."""
+    capture = scene.capture
+    frames = tuple(replace(f, thermal=images.get(f.name, f.thermal)) for f in capture.frames)
+    mask = capture.thermal_mask if thermal_mask is None else thermal_mask
+    radiometry = capture.radiometry if radiometry is None else radiometry
+    return replace(scene, capture=replace(capture, frames=frames, thermal_mask=mask, radiometry=radiometry))
 
 
 @lru_cache(maxsize=1)

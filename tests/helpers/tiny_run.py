@@ -21,7 +21,7 @@ from rtgs.run.stages import STAGES
 SYNTH = SynthConfig(scene="lego", frames=10, size=48, supersampling=1, seed=3, thermal_clean=False)
 HELD_OUT = ("frame_000", "frame_008")
 RGB_FLAGS = {"steps": 40, "random-points": 250, "densify.max-gaussians": 400, "densify.every": 10}
-SCALE_FLAGS = {"solver": "adam", "steps": 5, "scan-samples": 25}
+SCALE_FLAGS: dict[str, int | str] = {"solver": "adam", "steps": 5, "scan-samples": 25}
 THERMAL_FLAGS = {"steps": 10}
 
 
@@ -70,7 +70,7 @@ def assert_same_results(a: Path, b: Path) -> None:
     assert_close(strict_json(a / "scale.json"), strict_json(b / "scale.json"), "scale")
     metrics = [strict_json(run / "metrics.json") for run in (a, b)]
     assert metrics[0].pop("timings_s").keys() == metrics[1].pop("timings_s").keys()
-    assert_close(*metrics, "metrics")
+    assert_close(metrics[0], metrics[1], "metrics")
     for name in ("rgb", "thermal", "thermal_naive"):
         one, other = (PlyData.read(str(run / f"{name}.ply"))["vertex"].data for run in (a, b))
         assert one.dtype == other.dtype and len(one) == len(other), name

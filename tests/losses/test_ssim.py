@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tests.helpers.gradients import gradient_of
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from rtgs.losses.ssim import RADIUS_PX, reference_ssim, reference_ssim_map, ssim, whole_windows
@@ -39,9 +40,9 @@ def test_value_and_gradient_equal_the_reference(shape: tuple[int, int, int], mas
     (3 * expected).backward()
     # float32 moments of values below 1 carry 6e-8; the variances are divided by C2 = 9e-4, so ~1e-4 of S where the image is flat.
     assert abs(value.item() - expected.item()) < 1e-4
-    scale = slow.grad.abs().max()
+    scale = gradient_of(slow).abs().max()
     assert scale > 0
-    torch.testing.assert_close(fast.grad.double(), slow.grad, rtol=0, atol=1e-3 * scale.item())
+    torch.testing.assert_close(gradient_of(fast).double(), gradient_of(slow), rtol=0, atol=1e-3 * scale.item())
 
 
 def test_reference_gradient_equals_finite_differences() -> None:
@@ -57,7 +58,7 @@ def test_fused_gradient_equals_finite_differences() -> None:
     ssim(leaf, b).backward()
     h = 1e-3
     slope = (ssim(a + h * direction, b) - ssim(a - h * direction, b)).item() / (2 * h)
-    assert (leaf.grad * direction).sum().item() == pytest.approx(slope, rel=1e-2)
+    assert (gradient_of(leaf) * direction).sum().item() == pytest.approx(slope, rel=1e-2)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -87,10 +88,10 @@ def test_gradient_vanishes_at_the_target_and_nowhere_else() -> None:
     a, b = pair((32, 32, 3))
     leaf = b.clone().requires_grad_()
     ssim(leaf, b).backward()
-    assert leaf.grad.abs().max() < 1e-6
+    assert gradient_of(leaf).abs().max() < 1e-6
     leaf = a.clone().requires_grad_()
     ssim(leaf, b).backward()
-    assert (leaf.grad != 0).all()  # corners as well: their windows reach them
+    assert (gradient_of(leaf) != 0).all()  # corners as well: their windows reach them
 
 
 def test_nan_stays_visible() -> None:
@@ -99,7 +100,7 @@ def test_nan_stays_visible() -> None:
     leaf = a.requires_grad_()
     value = ssim(leaf, b)
     value.backward()
-    assert value.isnan() and leaf.grad[16, 16, 1].isnan()
+    assert value.isnan() and gradient_of(leaf)[16, 16, 1].isnan()
 
 
 def test_mask_is_the_mean_over_centred_windows() -> None:
@@ -120,7 +121,8 @@ def test_whole_windows_shut_out_what_lies_outside_the_mask() -> None:
     assert ssim(spoiled, b, centres).item() == pytest.approx(ssim(a, b, centres).item(), abs=1e-6)
     leaf = a.clone().requires_grad_()
     ssim(leaf, b, centres).backward()
-    assert (leaf.grad[:, 25:] == 0).all() and (leaf.grad[10:30, 10:20] != 0).all()
+    gradient = gradient_of(leaf)
+    assert (gradient[:, 25:] == 0).all() and (gradient[10:30, 10:20] != 0).all()
 
 
 def test_target_gets_no_gradient_and_value_needs_none() -> None:

@@ -70,7 +70,8 @@ def test_the_number_of_threads_does_not_matter() -> None:
     results = []
     threads = numba.get_num_threads()
     try:
-        for n in sorted({1, min(2, numba.config.NUMBA_NUM_THREADS)}):
+        most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # Numba sets it from the environment
+        for n in sorted({1, min(2, most)}):
             numba.set_num_threads(n)
             optimizer = Adam(values(0), RATES)
             run(optimizer, range(5))

@@ -110,7 +110,7 @@ def test_look_at_puts_the_target_on_the_axis(eye: tuple[float, float, float]) ->
     world_from_camera = look_at(eye, (0.0, 0.0, 0.0))
     assert is_rotation(world_from_camera.rotation, tolerance=1e-12)
     target = world_from_camera.inverse().apply(np.zeros(3))
-    np.testing.assert_allclose(target, [0, 0, np.linalg.norm(eye)], atol=1e-12)
+    np.testing.assert_allclose(target, np.array([0.0, 0.0, np.linalg.norm(eye)]), atol=1e-12)
 
 
 def test_look_at_keeps_up_up() -> None:

@@ -9,17 +9,21 @@ import pytest
 import torch
 
 from rtgs.renderer import cuda
+from rtgs.renderer.settings import Backend
 
 CUDA = [
     "cuda in PyTorch",
     pytest.param("cuda on a GPU", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no CUDA GPU")),
 ]
 
+UNPREPARED: dict[str, Backend] = {"cpu": "cpu", "reference": "reference"}
+"""Back ends that need no preparation."""
 
-def prepared(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
+
+def prepared(name: str, monkeypatch: pytest.MonkeyPatch) -> Backend:
     """The back end's name in `RenderSettings`; "cuda in PyTorch" has gsplat's kernels replaced (see `gsplat_kernels`)."""
-    if not name.startswith("cuda"):
-        return name
+    if name in UNPREPARED:
+        return UNPREPARED[name]
     pytest.importorskip("gsplat", reason="gsplat is not installed")
     if name == "cuda in PyTorch":
         from tests.helpers.gsplat_kernels import Kernels
@@ -32,13 +36,13 @@ def prepared(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.fixture(params=["cpu", "reference", *CUDA])
-def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Backend:
     """Every back end."""
     return prepared(request.param, monkeypatch)
 
 
 @pytest.fixture(params=["cpu", *CUDA])
-def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Backend:
     """The back ends that are held against the reference."""
     return prepared(request.param, monkeypatch)
 

@@ -13,11 +13,13 @@ import pytest
 import torch
 from tests.helpers.compare_renders import home, value_and_gradients
 from tests.helpers.gaussian_clouds import POSE, cloud, pinhole
+from tests.helpers.gradients import gradient_of
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import RenderSettings, check_backend, cuda, render, settings
+from rtgs.renderer.settings import Backend
 
 gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
 
@@ -40,17 +42,17 @@ def test_gradients_reach_only_what_asks_for_them(wanted: tuple[str, ...], cuda_k
         pixel_offsets=offsets,
     )
     g = torch.Generator().manual_seed(5)
-    loss = sum(
-        (x.cpu().double() * torch.randn(x.shape, generator=g, dtype=torch.float64)).sum() for x in (view.color, view.alpha)
-    )
-    loss.backward()
+    parts = [(x.cpu().double() * torch.randn(x.shape, generator=g, dtype=torch.float64)).sum() for x in (view.color, view.alpha)]
+    torch.stack(parts).sum().backward()
     leaves |= {"pixel_offsets": offsets, "rotation": rotation, "translation": translation}
     for name, leaf in leaves.items():
         assert (leaf.grad is not None) == (name in wanted), name
         if name in wanted:
             expected = everything[name]
             assert expected.abs().max() > 1e-3
-            torch.testing.assert_close(leaf.grad.cpu().double(), expected, rtol=1e-4, atol=1e-5 * expected.abs().max().item())
+            torch.testing.assert_close(
+                gradient_of(leaf).cpu().double(), expected, rtol=1e-4, atol=1e-5 * expected.abs().max().item()
+            )
 
 
 def test_a_model_without_gaussians_can_be_trained(cuda_kernels: None) -> None:
@@ -69,6 +71,7 @@ def test_pose_and_precision_follow_the_model(cuda_kernels: None) -> None:
     options = RenderSettings(backend="cuda", with_depth=True, channel_weights=(0.3, 0.6, 0.1))
     a = render(single, pinhole(37, 21), numpy_pose, settings=options)
     b = render(double, pinhole(37, 21), POSE, settings=options)
+    assert a.depth is not None and b.depth is not None
     for x, y in ((a.color, b.color), (a.alpha, b.alpha), (a.depth, b.depth)):
         assert x.dtype == y.dtype == torch.float32 and x.device.type == here
         torch.testing.assert_close(x, y, rtol=1e-5, atol=1e-5)
@@ -143,7 +146,7 @@ def test_a_model_on_the_cpu_is_taken_there_and_its_pictures_and_gradients_back(c
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
-def test_a_model_elsewhere_is_refused_on_the_cpu(backend: str) -> None:
+def test_a_model_elsewhere_is_refused_on_the_cpu(backend: Backend) -> None:
     elsewhere = "cuda" if torch.cuda.is_available() else "meta"
     with pytest.raises(RtgsError, match=rf'{elsewhere}.*backend "{backend}".*Gaussians.to\("cpu"\).*backend "cuda"'):
         render(cloud(3).to(elsewhere), pinhole(20, 20), POSE, settings=RenderSettings(backend=backend))

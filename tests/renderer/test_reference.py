@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 import torch
 from tests.helpers.compare_renders import assert_close
 from tests.helpers.gaussian_clouds import NAMES, POSE, cloud, pinhole
+from tests.helpers.gradients import gradient_of
 from torch import Tensor
 
 from rtgs.maths.geometry import SE3
@@ -16,6 +18,11 @@ from rtgs.maths.sh import coefficients
 from rtgs.records.gaussians import Gaussians, Geometry
 from rtgs.renderer import RenderSettings, reference, render
 from rtgs.renderer.settings import CutOffs
+
+
+def named(name: str) -> Callable[[str], str]:
+    """Puts the name before torch's message."""
+    return lambda message: f"{name}: {message}"
 
 
 @pytest.mark.parametrize(("degree", "channels"), [(3, 1), (1, 3)])
@@ -126,12 +133,13 @@ def test_reference_equals_gsplat() -> None:
     weights = torch.randn(expected.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     (expected * weights).sum().backward()
     (actual * weights).sum().backward()
-    gradients = {k: (leaves[k].grad, e[k].grad) for k in NAMES}
+    gradients = {k: (gradient_of(leaves[k]), gradient_of(e[k])) for k in NAMES}
+    of_pose = gradient_of(expected_pose)
     # gsplat finds the camera centre by inverting the matrix, we by the transpose: they differ off the rotations, so compare what
     # a rotation can do, the antisymmetric part of Rᵀ·G.
-    turning = [POSE.rotation.T @ g for g in (pose.rotation.grad, expected_pose.grad[:3, :3])]
+    turning = [POSE.rotation.T @ g for g in (gradient_of(pose.rotation), of_pose[:3, :3])]
     gradients["rotation"] = (turning[0] - turning[0].T, turning[1] - turning[1].T)
-    gradients["translation"] = (pose.translation.grad, expected_pose.grad[:3, 3])
+    gradients["translation"] = (gradient_of(pose.translation), of_pose[:3, 3])
     for name, (a, b) in gradients.items():
         assert b.abs().max() > 1e-3
-        torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5 * b.abs().max().item(), msg=lambda m, name=name: f"{name}: {m}")
+        torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5 * b.abs().max().item(), msg=named(name))

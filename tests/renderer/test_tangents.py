@@ -13,6 +13,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import Direction, RenderSettings, render, render_with_tangents
+from rtgs.renderer.settings import Backend
 
 EVERY_WAY = [
     Direction((1.0, 0.0, 0.0)),
@@ -95,14 +96,14 @@ def test_dot_product_with_reverse_mode(settings: RenderSettings) -> None:
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
-def test_tangents_equal_central_differences(backend: str) -> None:
+def test_tangents_equal_central_differences(backend: Backend) -> None:
     # Two Gaussians wide and faint enough that no pixel is near a cut-off; float32 differences need a long step.
     model = cloud(2, 3, 1, seed=3, size=1.5)
     model.sh[:, 0] = 1.0
     model = replace(model, opacity_logits=torch.tensor([-0.5, 0.3])).to(
         torch.float64 if backend == "reference" else torch.float32
     )
-    settings, camera = RenderSettings(backend=backend), pinhole(20, 16)  # type: ignore[arg-type]
+    settings, camera = RenderSettings(backend=backend), pinhole(20, 16)
     step, tolerance = (1e-5, 1e-8) if backend == "reference" else (1e-2, 3e-4)
     view, rates = render_with_tangents(model, camera, POSE, EVERY_WAY, settings=settings)
     assert view.alpha.min() > 0.05
@@ -149,19 +150,19 @@ def test_direction_between_poses_inverts_a_twist() -> None:
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
-def test_over_a_background(backend: str) -> None:
+def test_over_a_background(backend: Backend) -> None:
     model, camera, background = cloud(80, 1, 3, size=0.05), pinhole(37, 21), torch.tensor([0.2, 0.5, 0.9])
-    view, rates = render_with_tangents(model, camera, POSE, EVERY_WAY[3:4], settings=RenderSettings(backend=backend))  # type: ignore[arg-type]
+    view, rates = render_with_tangents(model, camera, POSE, EVERY_WAY[3:4], settings=RenderSettings(backend=backend))
     assert_close(rates.over(background)[0], rates.color[0] - rates.alpha[0][..., None] * background, 0.0, "over")
     # A wall in the background's colour, far behind: its own motion aside, the same derivative.
     assert view.alpha.min() < 0.5 and rates.alpha[0].abs().max() > 0.1
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
-def test_nothing_to_see_does_not_move(backend: str) -> None:
+def test_nothing_to_see_does_not_move(backend: Backend) -> None:
     behind = replace(cloud(5), means=cloud(5).means - torch.tensor([0.0, 0.0, 50.0]))
     for model in (cloud(0), behind):
-        _, rates = render_with_tangents(model, pinhole(20, 18), POSE, EVERY_WAY, settings=RenderSettings(backend=backend))  # type: ignore[arg-type]
+        _, rates = render_with_tangents(model, pinhole(20, 18), POSE, EVERY_WAY, settings=RenderSettings(backend=backend))
         assert rates.color.shape == (8, 18, 20, 3) and not rates.color.any() and not rates.alpha.any()
 
 
@@ -177,9 +178,9 @@ def test_what_cannot_be_done_is_refused() -> None:
 
 def test_cpu_takes_the_place_of_cuda_which_has_no_forward_mode() -> None:
     model, camera = cloud(40, 1, 3), pinhole(37, 21)
+    backends: tuple[Backend, ...] = ("cuda", "cpu")
     asked, done = (
-        render_with_tangents(model, camera, POSE, EVERY_WAY[:2], settings=RenderSettings(backend=backend))  # type: ignore[arg-type]
-        for backend in ("cuda", "cpu")
+        render_with_tangents(model, camera, POSE, EVERY_WAY[:2], settings=RenderSettings(backend=backend)) for backend in backends
     )
     assert torch.equal(asked[0].color, done[0].color) and torch.equal(asked[1].color, done[1].color)
     assert done[1].color.abs().max() > 0.1

@@ -10,23 +10,24 @@ from tests.helpers.compare_renders import assert_backends_agree, draw, value_and
 from tests.helpers.gaussian_clouds import INVISIBLE, POSE, VISIBLE, cloud, degenerate, identity, joined, pinhole
 
 from rtgs.renderer import RenderSettings
+from rtgs.renderer.settings import Backend
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_compiled_equals_reference(compiled: str, degree: int, channels: int, antialiased: bool) -> None:
+def test_compiled_equals_reference(compiled: Backend, degree: int, channels: int, antialiased: bool) -> None:
     # 37 × 21: both axes end inside a tile, and there is more than one tile along each.
     settings = RenderSettings(with_depth=channels == 3 or degree % 2 == 0, antialiased=antialiased)
     assert_backends_agree(cloud(150, degree, channels, seed=degree), pinhole(37, 21), settings, backend=compiled)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (5, 40), (33, 15)])
-def test_compiled_equals_reference_at_any_image_size(compiled: str, size: tuple[int, int]) -> None:
+def test_compiled_equals_reference_at_any_image_size(compiled: Backend, size: tuple[int, int]) -> None:
     assert_backends_agree(cloud(60, 1, 3), pinhole(*size, focal=30.0), RenderSettings(with_depth=True), backend=compiled)
 
 
-def test_compiled_equals_reference_behind_an_opaque_crowd(compiled: str) -> None:
+def test_compiled_equals_reference_behind_an_opaque_crowd(compiled: Backend) -> None:
     # Every pixel is spent after a few of 300 large Gaussians: the early end of a tile, forward and backward.
     crowd = cloud(300, 0, 3, size=0.5)
     crowd = replace(crowd, opacity_logits=crowd.opacity_logits + 3.0)
@@ -38,7 +39,7 @@ def test_compiled_equals_reference_behind_an_opaque_crowd(compiled: str) -> None
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("kind", INVISIBLE + VISIBLE)
 def test_compiled_equals_reference_on_degenerate_gaussians(
-    compiled: str, kind: str, antialiased: bool, request: pytest.FixtureRequest
+    compiled: Backend, kind: str, antialiased: bool, request: pytest.FixtureRequest
 ) -> None:
     if "on a GPU" in request.node.name and kind == "needle" and antialiased:
         pytest.skip("gsplat takes det Σ from a float32 difference, which is noise for a needle")
@@ -65,7 +66,7 @@ def test_beyond_float32_nothing_becomes_nan(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", VISIBLE)
-def test_equal_depth_composites_in_model_order(compiled: str, kind: str) -> None:
+def test_equal_depth_composites_in_model_order(compiled: Backend, kind: str) -> None:
     red, blue = degenerate(kind), degenerate(kind)
     red.sh[:, :, 0] += 1.0
     blue.sh[:, :, 2] += 1.0

@@ -16,10 +16,11 @@ from rtgs.maths.sh import C0, coefficients
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import RenderSettings, render
+from rtgs.renderer.settings import Backend
 
 
 @pytest.mark.parametrize("with_depth", [False, True])
-def test_no_gaussian_and_all_culled_are_black(backend: str, with_depth: bool) -> None:
+def test_no_gaussian_and_all_culled_are_black(backend: Backend, with_depth: bool) -> None:
     camera, settings = pinhole(20, 18), RenderSettings(with_depth=with_depth)
     behind = replace(cloud(5), means=cloud(5).means - torch.tensor([0.0, 0.0, 50.0]))
     for model in (cloud(0), behind):
@@ -29,7 +30,7 @@ def test_no_gaussian_and_all_culled_are_black(backend: str, with_depth: bool) ->
         assert all(not g.any() for g in gradients.values())
 
 
-def test_permutation_leaves_the_picture(backend: str) -> None:
+def test_permutation_leaves_the_picture(backend: Backend) -> None:
     model = cloud(120)
     shuffled = torch.randperm(120, generator=torch.Generator().manual_seed(1))
     permuted = Gaussians(**{k: v[shuffled] for k, v in model.tensors().items()})
@@ -39,7 +40,7 @@ def test_permutation_leaves_the_picture(backend: str) -> None:
     assert torch.equal(a.visible[shuffled], b.visible)
 
 
-def test_moving_world_and_camera_together_leaves_the_picture(backend: str) -> None:
+def test_moving_world_and_camera_together_leaves_the_picture(backend: Backend) -> None:
     model = cloud(120, 0).to(torch.float64)  # spherical harmonics live in the world, so only degree 0 moves along
     world = SE3(torch.tensor(rotation_from_axis_angle([0.7, -1.1, 0.4])), torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64))
     turned = np.stack([quat_from_rotation(world.rotation.numpy() @ rotation_from_quat(q)) for q in model.quats.numpy()])
@@ -52,7 +53,7 @@ def test_moving_world_and_camera_together_leaves_the_picture(backend: str) -> No
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
-def test_the_unit_of_length_is_free(backend: str, factor: float) -> None:
+def test_the_unit_of_length_is_free(backend: Backend, factor: float) -> None:
     model = cloud(120)
     a = draw(model, pinhole(37, 21), POSE, backend, near_plane=2.5, with_depth=True)
     b = draw(
@@ -66,10 +67,11 @@ def test_the_unit_of_length_is_free(backend: str, factor: float) -> None:
     assert 0 < a.visible.sum() < 120  # the near plane cuts
     # `scaled` adds ln(factor) in the model's float32, whichever the back end.
     assert_same_picture(a, b, 5e-5)
+    assert a.depth is not None and b.depth is not None
     assert_close(b.depth / factor, a.depth, 2e-4, "depth")
 
 
-def test_length_and_sign_of_a_quaternion_mean_nothing(backend: str) -> None:
+def test_length_and_sign_of_a_quaternion_mean_nothing(backend: Backend) -> None:
     model = cloud(120)
     lengths = torch.linspace(-3.0, 7.0, 120)[:, None]
     assert_same_picture(
@@ -79,13 +81,13 @@ def test_length_and_sign_of_a_quaternion_mean_nothing(backend: str) -> None:
     )
 
 
-def test_no_opacity_is_black(backend: str) -> None:
+def test_no_opacity_is_black(backend: Backend) -> None:
     view = draw(replace(cloud(50), opacity_logits=torch.full((50,), -30.0)), pinhole(37, 21), POSE, backend)
     assert not view.color.any() and not view.alpha.any() and not view.visible.any()
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_one_gaussian_known_answer(backend: str, antialiased: bool) -> None:
+def test_one_gaussian_known_answer(backend: Backend, antialiased: bool) -> None:
     # σ = 0.3 at depth 4 through f = 40 is 3 px; with the blur, 9.3 px². Anti-aliased: opacity × √(9·9 / (9.3·9.3)) = × 9/9.3.
     camera = Camera("PINHOLE", 33, 33, 40.0, 40.0, 16.5, 16.5)
     view = draw(gray_blob((0, 0, 4.0), 0.3, 2.0, 0.7), camera, identity(), backend, with_depth=True, antialiased=antialiased)
@@ -95,11 +97,12 @@ def test_one_gaussian_known_answer(backend: str, antialiased: bool) -> None:
     expected = torch.where(expected >= 1 / 255, expected, torch.zeros(()))
     assert_close(view.alpha, expected, 2e-6, "alpha")
     assert_close(view.color[..., 0], 0.7 * expected, 2e-6, "color")
+    assert view.depth is not None
     assert_close(view.depth, 4.0 * expected, 1e-5, "depth")
     assert (view.alpha == 0).any()
 
 
-def test_an_opaque_gaussian_lets_a_thousandth_through(backend: str) -> None:
+def test_an_opaque_gaussian_lets_a_thousandth_through(backend: Backend) -> None:
     camera = Camera("PINHOLE", 17, 17, 40.0, 40.0, 8.5, 8.5)
     front, back = gray_blob((0, 0, 2.0), 5.0, 20.0, 0.6), gray_blob((0, 0, 4.0), 10.0, 20.0, 1.0)
     view = draw(joined(back, front), camera, identity(), backend)
@@ -111,7 +114,7 @@ def test_an_opaque_gaussian_lets_a_thousandth_through(backend: str) -> None:
     assert view.color[8, 8, 0].item() == pytest.approx(0.5 * 0.6 + 0.5 * 0.999 * 1.0, abs=1e-6)
 
 
-def test_over_a_background(backend: str) -> None:
+def test_over_a_background(backend: Backend) -> None:
     model = cloud(80, size=0.03)
     view = draw(model, pinhole(37, 21), POSE, backend)
     background = torch.tensor([0.2, 0.5, 0.9], dtype=view.color.dtype)
@@ -134,7 +137,7 @@ def test_over_a_background(backend: str) -> None:
 
 
 @pytest.mark.parametrize("with_depth", [False, True])
-def test_channel_weights_are_the_weighted_sum_of_the_channels(backend: str, with_depth: bool) -> None:
+def test_channel_weights_are_the_weighted_sum_of_the_channels(backend: Backend, with_depth: bool) -> None:
     weights = (0.299, 0.587, 0.114)
     full = draw(cloud(80), pinhole(37, 21), POSE, backend, with_depth=with_depth)
     gray = draw(cloud(80), pinhole(37, 21), POSE, backend, with_depth=with_depth, channel_weights=weights)
@@ -144,7 +147,7 @@ def test_channel_weights_are_the_weighted_sum_of_the_channels(backend: str, with
 
 
 @pytest.mark.parametrize("pixel", [(3, 7), (15, 16), (31, 0)])
-def test_pixel_centres_are_at_half_integers(backend: str, pixel: tuple[int, int]) -> None:
+def test_pixel_centres_are_at_half_integers(backend: Backend, pixel: tuple[int, int]) -> None:
     camera = Camera("PINHOLE", 33, 20, 41.0, 43.0, 15.2, 11.9)
     i, j = pixel
     z = 2.5
@@ -156,18 +159,19 @@ def test_pixel_centres_are_at_half_integers(backend: str, pixel: tuple[int, int]
     assert left == pytest.approx(math.exp(-1 / 0.6), rel=2e-4) and right == pytest.approx(math.exp(-1 / 0.6), rel=2e-4)
 
 
-def test_depth_of_a_plane(backend: str) -> None:
+def test_depth_of_a_plane(backend: Backend) -> None:
     g = torch.Generator().manual_seed(0)
     plane = replace(cloud(200, 0, 1), log_scales=torch.full((200, 3), math.log(0.2)), opacity_logits=torch.full((200,), 1.0))
     xy = torch.rand(200, 2, generator=g) * 4 - 2
     plane = replace(plane, means=torch.cat([xy, torch.full((200, 1), 3.25)], dim=1))
     view = draw(plane, pinhole(37, 21), identity(), backend, with_depth=True)
+    assert view.depth is not None
     covered = view.alpha > 0.05
     assert covered.float().mean() > 0.9
     torch.testing.assert_close((view.depth / view.alpha)[covered], torch.full_like(view.alpha[covered], 3.25), rtol=1e-5, atol=0)
 
 
-def test_pixel_offsets_move_the_picture(backend: str) -> None:
+def test_pixel_offsets_move_the_picture(backend: Backend) -> None:
     model, camera = cloud(60, 0).to(**home(backend)), pinhole(40, 30)
     offset = torch.tensor([2.0, 3.0], **home(backend)).expand(60, 2)
     settings = RenderSettings(backend=backend)
@@ -178,7 +182,7 @@ def test_pixel_offsets_move_the_picture(backend: str) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_fewer_bands_are_the_model_without_them(backend: str, degree: int) -> None:
+def test_fewer_bands_are_the_model_without_them(backend: Backend, degree: int) -> None:
     model = cloud(60, 3)
     cut = replace(model, sh=model.sh.clone())
     cut.sh[:, coefficients(degree) :] = 0.0

@@ -26,7 +26,7 @@ def trained() -> Adam:
         "sh": torch.randn(8, 1, 3, generator=g),
     }
     optimizer = Adam(parameters, dict.fromkeys(parameters, 1e-3))
-    sum((v * torch.randn(v.shape, generator=g)).sum() for v in optimizer.parameters.values()).backward()
+    torch.stack([(v * torch.randn(v.shape, generator=g)).sum() for v in optimizer.parameters.values()]).sum().backward()
     optimizer.step()
     with torch.no_grad():
         optimizer.parameters["log_scales"][2] = torch.tensor([0.1, 0.02, 0.001]).log()
@@ -104,7 +104,7 @@ def test_moments_are_carried_over_and_those_of_new_gaussians_are_zero() -> None:
             assert before[name].any() and torch.equal(moments[name][:4], before[name][[0, 1, 3, 4]])
             assert moments[name].shape == parameter.shape and not moments[name][4:].any()
     was = {name: parameter.detach().clone() for name, parameter in optimizer.parameters.items()}
-    sum(v.sum() for v in optimizer.parameters.values()).backward()
+    torch.stack([v.sum() for v in optimizer.parameters.values()]).sum().backward()
     optimizer.step()  # the optimiser works on what is there now
     assert not any(torch.equal(parameter, was[name]) for name, parameter in optimizer.parameters.items())
 

@@ -19,7 +19,9 @@ def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> Non
     rates = []
     for _ in range(10):
         training.advance()
-        rates.append(training.optimizer.rates["means"])
+        rate = training.optimizer.rates["means"]
+        assert isinstance(rate, float)
+        rates.append(rate)
     np.testing.assert_allclose(rates, MOST_PACE * 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -73,9 +74,10 @@ def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
     scene = synthetic()
     gains = {f.name: 0.8 if k % 2 else 1.1 for k, f in enumerate(scene.train_frames)}
     gained = with_images(scene, {f.name: f.rgb * np.float32(gains[f.name]) for f in scene.train_frames})
-    config = replace(QUICK, steps=250, exposure=True)
+    steps = 250
+    config = replace(QUICK, steps=steps, exposure=True)
     training = Training(gained, config)
-    while training.step < config.steps:
+    while training.step < steps:
         training.advance()
     # Gains and offsets share the work, and there are no more of them than training frames: so look at what they do to mid grey.
     fitted = (0.4 * training.frame_optimizer.parameters["gain"] + training.frame_optimizer.parameters["offset"]).detach().mean(1)
@@ -96,7 +98,7 @@ def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
 
 
 @pytest.mark.parametrize(("background", "expected"), [("black", 0.0), ("white", 1.0)])
-def test_a_fixed_background_stays(background: str, expected: float) -> None:
+def test_a_fixed_background_stays(background: Literal["black", "white"], expected: float) -> None:
     model = fit_rgb(synthetic(), replace(QUICK, steps=5, background=background))
     assert torch.equal(model.background, torch.full((3,), expected))
 

@@ -43,8 +43,9 @@ def test_a_comparison_may_count_only_what_the_model_covers() -> None:
     theta, frame = math.log(1.2), scene.train_frames[2]
     index = scene.train_frames.index(frame)
     whole, covered = (of[c].objective() for c in (False, True))
-    assert of[True].masks is not None
-    mask = of[True].masks[frame.name]
+    masks = of[True].masks
+    assert masks is not None
+    mask = masks[frame.name]
     assert 0.05 < mask.mean() < 0.95
     target = NgfPyramid.of(
         torch.from_numpy(of[True].thermal[frame.name]).double(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtgs.synthetic.meshes import box, cylinder, plate_with_hole, rod, sphere, torus
+from rtgs.synthetic.meshes import Mesh, box, cylinder, plate_with_hole, rod, sphere, torus
 from rtgs.synthetic.model import STUDIO, Material, Model, Part
 from rtgs.synthetic.raycast import CompiledModel
 
@@ -23,7 +23,7 @@ pytest.importorskip("embreex")
         (plate_with_hole(0.2, 0.05, 0.04), (0.08, 0, 0)),
     ],
 )
-def test_shapes_are_closed_and_normals_point_outwards(mesh, inside) -> None:  # type: ignore[no-untyped-def]
+def test_shapes_are_closed_and_normals_point_outwards(mesh: Mesh, inside: tuple[float, float, float]) -> None:
     """Rays from within meet a face from behind, whichever way they go; so no light leaks and occlusion looks outwards."""
     model = CompiledModel(Model((Part(mesh, Material()),), STUDIO))
     directions = np.random.default_rng(0).normal(size=(300, 3))

@@ -13,16 +13,23 @@ from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, changed, fit_of, kn
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.scene import Scene
 from rtgs.thermal import gaussian_temperatures
-from rtgs.thermal.drift import Drift
+from rtgs.thermal.drift import Drift, DriftKind
+from rtgs.thermal.fit import Fit
 from rtgs.thermal.least_squares import solve
+
+
+def free_offsets(fit: Fit) -> tuple[DriftKind, Drift]:
+    """Every frame's offset is solved for, from zero."""
+    frames = len(fit.data)
+    return "offset", Drift(fit.median, torch.ones(frames), torch.zeros(frames))
 
 
 @pytest.mark.parametrize("offsets", [False, True])
 def test_solution_satisfies_the_normal_equations(offsets: bool) -> None:
     scene, rgb, _ = known()
     fit = fit_of(scene, rgb)
-    drift = ("offset", Drift(fit.median, torch.ones(8), torch.zeros(8))) if offsets else None
-    problem = fit.problem((1.0, 10.0, 100.0), range(8), drift=drift)  # type: ignore[arg-type]
+    drift = free_offsets(fit) if offsets else None
+    problem = fit.problem((1.0, 10.0, 100.0), range(8), drift=drift)
     start = torch.randn(fit.design.size, 3, generator=torch.Generator().manual_seed(1))
     solution = solve(problem, start, iterations=150)
     before, after = problem.gradient(start), problem.gradient(solution.x)
@@ -54,8 +61,8 @@ def test_problems_with_and_without_offsets_are_solved_together() -> None:
     start = both.prior.clone()
     pair = solve(both, start, iterations=6).x
     assert not torch.allclose(pair[:, 0], pair[:, 1], atol=1e-3)
-    for c, drift in enumerate((None, ("offset", Drift(fit.median, torch.ones(len(frames)), torch.zeros(len(frames)))))):
-        alone = solve(fit.problem((0.3,), frames, drift=drift), start[:, :1], iterations=6).x  # type: ignore[arg-type]
+    for c, drift in enumerate((None, free_offsets(fit))):
+        alone = solve(fit.problem((0.3,), frames, drift=drift), start[:, :1], iterations=6).x
         torch.testing.assert_close(pair[:, c : c + 1], alone, atol=1e-4, rtol=0)
 
 
@@ -68,9 +75,9 @@ def test_a_common_surface_is_eliminated_exactly(offsets: bool) -> None:
     some = (torch.rand(fit.data.valid.shape, generator=g) > 0.2) * (0.2 + torch.rand(fit.data.valid.shape, generator=g))
     fit = replace(fit, data=replace(fit.data, valid=some))
     weights = fit.pixel_weights
-    drift = ("offset", Drift(fit.median, torch.ones(len(fit.data)), torch.zeros(len(fit.data)))) if offsets else None
+    drift = free_offsets(fit) if offsets else None
     surface = fit.surface()
-    problem = fit.problem((0.3,), frames, drift=drift, surface=surface)  # type: ignore[arg-type]
+    problem = fit.problem((0.3,), frames, drift=drift, surface=surface)
     x = problem.prior + 0.1 * torch.randn(problem.prior.shape, generator=g)
     left = [fit.data.images[f] - fit.design.image(f, x)[..., 0] for f in frames]
     columns = np.concatenate(
@@ -96,12 +103,12 @@ def test_a_common_surface_is_eliminated_exactly(offsets: bool) -> None:
 def test_ridges_with_a_common_surface_are_solved_together(offsets: bool) -> None:
     scene, rgb, _ = ring()
     fit = fit_of(changed(scene, lambda i, t: t + 2.0 * np.linspace(-1, 1, t.shape[1]) ** 2), rgb)
-    drift = ("offset", Drift(fit.median, torch.ones(len(fit.data)), torch.zeros(len(fit.data)))) if offsets else None
+    drift = free_offsets(fit) if offsets else None
     frames, surface = range(len(fit.data)), fit.surface()
-    both = fit.problem((0.3, 3.0), frames, drift=drift, surface=surface)  # type: ignore[arg-type]
+    both = fit.problem((0.3, 3.0), frames, drift=drift, surface=surface)
     found = both.gradient(both.prior)
     for c, factor in enumerate((0.3, 3.0)):
-        alone = fit.problem((factor,), frames, drift=drift, surface=surface)  # type: ignore[arg-type]
+        alone = fit.problem((factor,), frames, drift=drift, surface=surface)
         torch.testing.assert_close(found[:, c : c + 1], alone.gradient(alone.prior), atol=1e-3, rtol=1e-4)
 
 

@@ -51,7 +51,7 @@ def test_warp_there_and_back() -> None:
     image = (20 + np.sin(x / 6) + np.cos(y / 5)).astype(np.float32)
     there = homography(replace(RIG, rgb_from_thermal=SE3(rotation_from_axis_angle([0, 0, 0.05]), np.array([0.05, 0, 0.02]))), 2.0)
     size = RGB.height, RGB.width
-    rgb, valid = warp(image, np.ones(image.shape, bool), np.linalg.inv(there), size)
+    rgb, valid = warp(image, np.ones(image.shape, bool), np.asarray(np.linalg.inv(there), np.float64), size)
     back, inside = warp(rgb, valid, there, image.shape)
     assert inside.mean() > 0.8
     np.testing.assert_allclose(back[inside], image[inside], atol=0.02)  # twice bilinear

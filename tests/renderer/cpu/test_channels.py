@@ -11,7 +11,7 @@ from rtgs.renderer.cpu.simd import LANES, load
 
 
 @nb.njit
-def _weighted_blocks(registers, values, short, colors, image, sums):
+def _weighted_blocks(registers, values, short, colors, image, sums):  # type: ignore[no-untyped-def]  # as in test_simd.py
     for at in range(0, len(values), LANES):
         simd.store_uint16(short, at, load(values, at))
     channels.store_all(image, channels.add_weighted(channels.no_lanes(registers), short, 0, colors, 1))

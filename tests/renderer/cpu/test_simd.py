@@ -9,9 +9,11 @@ import pytest
 from rtgs.renderer.cpu import simd
 from rtgs.renderer.cpu.simd import LANES, load, store, take_next
 
+# Compiled functions stay without annotations: Numba infers their types, and declares its intrinsics with a parameter too many.
+
 
 @nb.njit
-def _apply(which, x, out):
+def _apply(which, x, out):  # type: ignore[no-untyped-def]
     for at in range(0, len(x), LANES):
         v = load(x, at)
         if which == 0:
@@ -61,7 +63,7 @@ def test_lane_functions_are_numpys() -> None:
 
 
 @nb.njit
-def _reduce(x, wide):
+def _reduce(x, wide):  # type: ignore[no-untyped-def]
     v = load(x, 0)
     bits = simd.mask_bits(v > 0.0)
     lowest = simd.lowest_bit(bits) if bits != 0 else -1
@@ -80,13 +82,14 @@ def test_sums_and_masks(seed: int) -> None:
 
 
 @nb.njit
-def _copy_half(to, start, array, index):
+def _copy_half(to, start, array, index):  # type: ignore[no-untyped-def]
     simd.copy_half(to, start, array, index)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.uint16])
 def test_half_a_register_is_copied(kind: type) -> None:
-    array, to = np.arange(40).astype(kind), np.zeros(40, kind)
+    array: np.ndarray = np.arange(40).astype(kind)
+    to = np.zeros_like(array)
     _copy_half(to, 3, array, 21)
     np.testing.assert_array_equal(to[3:11], array[21:29])
     assert not to[:3].any() and not to[11:].any()

@@ -29,6 +29,7 @@ def test_every_decision_is_a_row_with_its_numbers(tmp_path: Path) -> None:
 
 def test_a_model_without_decisions_has_no_such_section(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
-    for content in ({"background": [0.5]}, {"decisions": []}):
+    contents: list[dict[str, list[float]]] = [{"background": [0.5]}, {"decisions": []}]
+    for content in contents:
         write_json(run / "thermal.json", content)
         assert "Decisions of the thermal fit" not in page_of(run).headings

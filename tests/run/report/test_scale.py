@@ -32,7 +32,7 @@ def test_a_solver_with_steps_shows_them(tmp_path: Path) -> None:
 def test_a_search_shows_its_minima_its_frames_and_the_curve_beside_the_answer(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     s = tuple(SFM_PER_METRE * f for f in (0.98, 0.99, 1.0, 1.01, 1.02))
-    curves = {n: (0.9 + k * 0.01, 0.88, 0.87, 0.88, 0.9) for k, n in enumerate(HELD_OUT)}
+    curves: dict[str, tuple[float, ...]] = {n: (0.9 + k * 0.01, 0.88, 0.87, 0.88, 0.9) for k, n in enumerate(HELD_OUT)}
     found = replace(
         estimate(),
         solver="global",
