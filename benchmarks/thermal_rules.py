@@ -9,8 +9,8 @@ of noise, ten times as much. `--run` adds
 real captures, by their run folders, as they are.
 
 Prints Markdown: mean absolute errors over the held-out frames, averaged over the captures of a kind. "photographs": against the
-photographs, with the drift predicted from the training frames beside each. "differences": likewise, each frame's median difference taken
-out, so that drift that nothing predicts is not in them. "scene": against the noise- and drift-free temperatures
+photographs, with the drift predicted from the training frames beside each. "differences" (real captures): likewise, each frame's median
+difference taken out, so that drift that nothing predicts is not in them. "scene": against the noise- and drift-free temperatures
 (synthetic), the frame's median difference taken out, since offset and scene cannot be told apart. "worst": the largest change of a single
 capture. Seconds are of the processor. Results are kept in DIR/rules.json and not measured again.
 """
@@ -232,6 +232,8 @@ def table(results: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
         for kind in rule.kinds:
             keys = [k for k in results.get(rule.name, {}) if k.startswith(kind + "/")]
             for quantity in ("photographs", "differences", "scene"):
+                if quantity == "differences" and any("scene" in results[""][k] for k in keys):
+                    continue  # the truth says more
                 pairs = [(results[""][k][quantity], results[rule.name][k][quantity]) for k in keys if quantity in results[""][k]]
                 if not pairs:
                     continue

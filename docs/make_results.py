@@ -65,6 +65,7 @@ PAGES = {
         Page("table3-arco", "rtgs experiment real {run} --out {out} --thermal.drift offset", "table3.md"),
         Page("thermal-adam", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene}", scenes=SCENES),
         Page("thermal-truth", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene} --steps ''", scenes=SCENES),
+        Page("thermal-rules", "python benchmarks/thermal_rules.py --out {out} --run {run}"),
         Page("renderer-speed", "python benchmarks/render.py"),
         Page(
             "training",

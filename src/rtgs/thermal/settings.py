@@ -23,9 +23,10 @@ class LinearSettings:
     """Additional ridge on the direction-dependent bands, as a share of the pixels that a Gaussian covers. Errors of the geometry do not
     average out over pixels, and view dependence would explain them. Chosen on validation frames."""
     ridge_factors: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
-    """Factors on both ridges that are tried on validation frames. They span the best factors of all captures tried."""
+    """Factors on both ridges that are tried on validation frames, about a factor of three apart."""
     default_factor: float = 0.3
-    """The factor until one is chosen, and where there are too few frames to choose. It is the one most often chosen."""
+    """The factor until one is chosen, and where there are too few frames to choose. It is the one chosen most often (20 of 36 times in the
+    study of the rules)."""
 
     # Validation frames.
     fewest_frames: int = 3
@@ -33,9 +34,10 @@ class LinearSettings:
 
     # Iterations.
     iterations: int = 60
-    """Most iterations of a solver while validation frames can stop it. A bound for safety: early stopping needs fewer."""
+    """Most iterations of a solver while validation frames can stop it. A bound for safety: early stopping takes 2 to 6 on the captures of
+    the study, and up to 40 where the geometry is exact."""
     unvalidated_iterations: int = 20
-    """Iterations where there is no validation frame. About as many as early stopping takes elsewhere."""
+    """Iterations where no validation frame can stop the solver: more than early stopping takes, for few photographs cost little."""
     last_iterations: int = 12
     """Iterations on all training frames, from the solution without validation frames. Chosen on validation frames."""
     gain_iterations: int = 4
@@ -62,7 +64,7 @@ class LinearSettings:
     gain_limits: tuple[float, float] = (0.5, 2.0)
     """Limits of a frame's gain. No useful automatic gain control goes beyond; a frame without contrast could have any gain."""
     pattern_gain: float = 0.1
-    """The same share for the sensor's pattern. Real vignetting explains a third of the error or more. Errors of the geometry that stay in
+    """The same share for the sensor's pattern. Real vignetting explains a fifth of the error or more. Errors of the geometry that stay in
     the same place of all photographs look like a pattern that explains a twentieth."""
 
     # Work.
@@ -70,7 +72,7 @@ class LinearSettings:
     """Pixels that are fitted, of all photographs together. With more, one row in two, three or four is used: the rows between see
     nothing that other photographs do not see."""
     most_rows: int = 4
-    """At most one row in so many is used: sparser rows would miss Gaussians."""
+    """At most one row in so many is used, so that Gaussians a few pixels large do not fall between rows."""
     usual_passes: int = 40
     """Passes over all frames that most fits need; only for the progress display."""
     kept_bytes: int = 2 << 30
