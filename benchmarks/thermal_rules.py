@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from unittest.mock import patch
 
 import numpy as np
@@ -33,7 +33,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from rtgs.config import RgbConfig, RunConfig, SfmConfig, SynthConfig, ThermalConfig
+from rtgs.config import RgbConfig, RunConfig, SceneName, SfmConfig, SynthConfig, ThermalConfig
 from rtgs.io.capture import load_capture
 from rtgs.maths import sh
 from rtgs.models import RgbModel, ThermalModel
@@ -55,6 +55,7 @@ from rtgs.thermal.linear import fit_linear
 from rtgs.thermal.settings import LinearSettings
 from rtgs.thermal.validation import Validation
 
+AskedDrift = Literal["auto", "off", "offset", "gain-offset"]
 Change = Callable[[], AbstractContextManager[Any]]
 
 
@@ -65,7 +66,7 @@ class Rule:
     name: str
     kinds: tuple[str, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
-    drift: str = "auto"
+    drift: AskedDrift = "auto"
     change: Change = nullcontext
 
 
@@ -159,11 +160,11 @@ def of_run(path: Path, kind: str) -> Problem:
     return Problem(path.name, kind, scene, folder.read_rgb(), scale, truth)
 
 
-def make(out: Path, name: str, size: int, frames: int) -> Path:
+def make(out: Path, name: SceneName, size: int, frames: int) -> Path:
     """A synthetic capture and its RGB model; made once."""
     folder, capture = RunFolder(out / f"{name}-{size}-{frames}"), out / f"{name}-{size}-{frames}-capture"
     if not (folder.path / "rgb.json").exists():
-        write_capture(capture, SynthConfig(scene=name, frames=frames, size=size, supersampling=1, seed=3, sfm_per_metre=2.0))  # type: ignore[arg-type]
+        write_capture(capture, SynthConfig(scene=name, frames=frames, size=size, supersampling=1, seed=3, sfm_per_metre=2.0))
         scene = run_sfm(load_capture(capture), SfmConfig())
         model = fit_rgb(scene, RgbConfig(steps=1500, sh_degree=1))
         folder.write_config(SavedRun(capture, RunConfig()))
@@ -205,10 +206,10 @@ def problems(args: argparse.Namespace) -> Iterator[Problem]:
             yield plain if kind == "still" else changed(plain, kind)
 
 
-def measured(problem: Problem, settings: LinearSettings, drift: str) -> dict[str, float]:
+def measured(problem: Problem, settings: LinearSettings, drift: AskedDrift) -> dict[str, float]:
     """Errors in °C, and seconds of the processor."""
     begin = time.process_time()
-    config = ThermalConfig(drift=drift)  # type: ignore[arg-type]
+    config = ThermalConfig(drift=drift)
     model: ThermalModel = fit_linear(problem.scene, problem.rgb, problem.sfm_per_metre, config, settings=settings)
     seconds = time.process_time() - begin
     mask, photographs, scenes = problem.scene.capture.thermal_mask, [], []

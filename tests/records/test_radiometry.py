@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -167,8 +168,9 @@ def test_impossible_parameters_are_refused_by_name(name: str, value: float) -> N
 
 @pytest.mark.parametrize("name", ["r1", "r2", "b", "f", "o"])
 def test_impossible_constants_are_refused_by_name(name: str) -> None:
+    wrong: dict[str, Any] = {name: float("nan")}
     with pytest.raises(RtgsError, match=rf"planck\.{name} is nan"):
-        replace(CALIBRATIONS[0], **{name: float("nan")})  # type: ignore[arg-type]
+        replace(CALIBRATIONS[0], **wrong)
 
 
 def test_air_beyond_the_formula_is_refused() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,8 +58,9 @@ def test_render_under_another_emissivity(capture: Path, run: Path, tmp_path: Pat
     scene = folder.load_scene()
     assert recorded([*arguments, str(tmp_path / "no"), "--emissivity", "0.7"])[1] == 2  # linear counts
     scene = replace(scene, capture=replace(scene.capture, radiometry=radiometry))
-    for name, changes in (("as", {}), ("other", {"emissivity": 0.7, "reflected_c": -10.0})):
-        render_views(folder, scene, tmp_path / name, ["frame_001"], viewpoint="thermal", **changes)  # type: ignore[arg-type]
+    changes: dict[str, dict[str, Any]] = {"as": {}, "other": {"emissivity": 0.7, "reflected_c": -10.0}}
+    for name, change in changes.items():
+        render_views(folder, scene, tmp_path / name, ["frame_001"], viewpoint="thermal", **change)
         views[name] = np.asarray(Image.open(tmp_path / name / "frame_001.thermal.tiff"))
     expected = radiometry.reevaluated(views["as"], emissivity=0.7, reflected_c=-10.0)
     np.testing.assert_allclose(views["other"], expected, atol=1e-3)

@@ -115,8 +115,9 @@ def test_nothing_to_compare_is_said() -> None:
 
 
 def test_every_solver_that_settings_can_name_is_there() -> None:
-    for name in SOLVERS:
-        assert ScaleConfig(solver=name).solver == name  # type: ignore[arg-type]
+    names: tuple[SolverName, ...] = get_args(SolverName)
+    assert tuple(SOLVERS) == names
+    for name in names:
+        assert ScaleConfig(solver=name).solver == name
     with pytest.raises(RtgsError, match=r"solver is 'newton'; it is global or adam"):
         ScaleConfig(solver="newton")  # type: ignore[arg-type]
-    assert tuple(SOLVERS) == get_args(SolverName)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.helpers.synthetic_captures import project
 
+from rtgs.config import SceneName
 from rtgs.synthetic import SCENES, SynthConfig, compiled_scene, render_thermal
 from rtgs.synthetic.camera_path import camera_path
 from rtgs.synthetic.rig import true_rig
@@ -13,8 +14,8 @@ pytest.importorskip("embreex")
 
 
 @pytest.mark.parametrize("scene", [s for s in SCENES if s != "room"])
-def test_objects_stay_in_both_pictures(scene: str) -> None:
-    config = SynthConfig(scene=scene)  # type: ignore[arg-type]
+def test_objects_stay_in_both_pictures(scene: SceneName) -> None:
+    config = SynthConfig(scene=scene)
     model, rig = compiled_scene(config.scene), true_rig(config)
     for world_from_rgb in camera_path(config, model.model.centre):
         for camera, pose in ((rig.rgb, world_from_rgb), (rig.thermal, world_from_rgb @ rig.rgb_from_thermal)):

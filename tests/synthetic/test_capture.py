@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,7 +153,7 @@ def test_other_peoples_files_are_left_alone(tmp_path: Path) -> None:
         {"thermal_focal_error": math.nan}, {"rig_direction_error": math.inf}, {"sfm_per_metre": 0.0},
     ],
 )  # fmt: skip
-def test_impossible_requests_name_their_field(tmp_path: Path, wrong: dict[str, object]) -> None:
+def test_impossible_requests_name_their_field(tmp_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises(RtgsError, match=next(iter(wrong))):
-        write_capture(tmp_path / "x", replace(SMALL, **wrong))  # type: ignore[arg-type]
+        write_capture(tmp_path / "x", replace(SMALL, **wrong))
     assert not (tmp_path / "x").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ pytest.importorskip("embreex")
 
 @pytest.mark.parametrize("field", ["rig_length_error", "rig_direction_error", "rig_rotation_error_deg", "thermal_focal_error"])
 def test_calibration_errors_change_what_is_told_not_what_is_seen(field: str) -> None:
-    config = replace(SMALL, **{field: 0.02})  # type: ignore[arg-type]
+    change: dict[str, Any] = {field: 0.02}
+    config = replace(SMALL, **change)
     rig = true_rig(config)
     told = written_rig(config, rig)
     untouched = written_rig(SMALL, rig)
