@@ -62,7 +62,7 @@ def gaussian_temperatures(
         passes = Passes(len(data) * (settings.iterations + 2), progress, "standard errors")
         generator = torch.Generator().manual_seed(0)
 
-        seen = _look(model, camera, design, data, settings, generator, passes)
+        seen = _sum_over_views(model, camera, design, data, settings, generator, passes)
         inverse_prior = _inverse_prior(design, seen, linear)
         has_offsets = bool(model.sensor.drift)
         samples = _sample_posterior(design, data, seen, inverse_prior, has_offsets, settings, generator, passes)
@@ -107,7 +107,7 @@ class _Seen:
         return mean
 
 
-def _look(
+def _sum_over_views(
     model: ThermalModel,
     camera: Camera,
     design: Design,
@@ -136,7 +136,16 @@ def _look(
         squares += float((data.valid * (data.images[f] - shown) ** 2).sum())
         each()
     noise_ratio = max(squares / pixels / max(float(values.var()), 1e-12), 1e-4)
-    return _Seen(pixels, noise_ratio, coverage, views, basis, bounds, blocks, squares)
+    return _Seen(
+        pixels=pixels,
+        noise_ratio=noise_ratio,
+        coverage=coverage,
+        views=views,
+        basis=basis,
+        bounds=bounds,
+        blocks=blocks,
+        squares=squares,
+    )
 
 
 def _inverse_prior(design: Design, seen: _Seen, settings: LinearSettings) -> Tensor:
@@ -184,7 +193,17 @@ def _sample_posterior(
     ridges = inverse_prior[:, None].expand(-1, samples)
     offsets = torch.ones(samples) if has_offsets else None
     weights = [data.valid] * len(data)
-    problem = Problem(design, range(len(data)), noises, weights, offsets, ridges, prior, inverses, background)
+    problem = Problem(
+        design=design,
+        frames=range(len(data)),
+        images=noises,
+        weights=weights,
+        offsets=offsets,
+        ridge=ridges,
+        prior=prior,
+        inverses=inverses,
+        background=background,
+    )
     x = solve(problem, prior, iterations=settings.iterations, each=each).x
     right = problem.gradient(torch.zeros_like(x), each)
     return _Samples(x, right, right - ridges * prior)

@@ -38,10 +38,6 @@ class Drift:
         """What the frame shows of an image of the scene."""
         return self.level + self.offset[frame] + self.gain[frame] * (image - self.level)
 
-    def only(self, frames: Sequence[int]) -> Drift:
-        """The drift of some of the frames."""
-        return Drift(self.level, self.gain[frames], self.offset[frames])
-
     def by_frame(self, names: Sequence[str], span: ThermalRange) -> dict[str, tuple[float, float]]:
         """As `SensorModel.drift`: photograph = gain · image + offset, in the units of `span.linear`."""
         level, width = span.linear.lo + self.level * span.linear.width, span.linear.width

@@ -76,7 +76,19 @@ class Fit:
         prior = self.coverage.prior[:, None].expand(-1, len(factors))
         if drift is not None and drift[0] != "off":
             offsets = torch.ones(len(factors))
-        return Problem(self.design, frames, photographs, weights, offsets, ridges, prior, inverses, background, surface, surfaces)
+        return Problem(
+            design=self.design,
+            frames=frames,
+            images=photographs,
+            weights=weights,
+            offsets=offsets,
+            ridge=ridges,
+            prior=prior,
+            inverses=inverses,
+            background=background,
+            surface=surface,
+            surfaces=surfaces,
+        )
 
     def images(self, x: Tensor) -> list[Tensor]:
         """`[h, w, C]` for each frame, of unknowns `[D, C]`."""

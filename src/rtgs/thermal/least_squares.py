@@ -18,7 +18,7 @@ from rtgs.maths.planes import Planes, products
 from rtgs.thermal.design import Design
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
     """Find x that minimises Σ_f weights_f · (image_f − design_f · x − offset_f − surface)² + Σ ridge · (x − prior)², for C columns x.
 

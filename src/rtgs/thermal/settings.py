@@ -94,7 +94,7 @@ class CertaintySettings:
     """Numbers of the Gaussians' temperatures and standard errors (`gaussian_temperatures`)."""
 
     seen_px: float = 0.5
-    """A view sees a Gaussian that contributes this much to its pixels, all together: half a pixel can be told from noise."""
+    """A view sees a Gaussian that contributes this much to its pixels, all together. Half a pixel stands out of the noise."""
     samples: int = 8
     """Samples of the posterior. The standard error of a standard error is then a quarter, of the part that is sampled."""
     probes: int = 7
