@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 from rtgs.base.errors import RtgsError
 from rtgs.images.cache import ImageCache
 from rtgs.io.colmap import read_sparse
-from rtgs.io.image_files import ImageHeader, check_counts_mode, check_rgb, list_images, read_counts, read_header, read_rgb
+from rtgs.io.image_files import (
+    ImageHeader,
+    check_counts_mode,
+    check_rgb,
+    frame_name,
+    list_images,
+    read_counts,
+    read_header,
+    read_rgb,
+)
 from rtgs.io.rig import read_rig
 from rtgs.io.transforms import read_transforms
 from rtgs.maths.geometry import SE3
@@ -61,13 +70,12 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     for header in thermal_headers:
         check_counts_mode(header)
     raw_rig = rig_file.rig
-    _check_sizes(root / "rig.json", "rgb", raw_rig.rgb, rgb_headers)
     _check_sizes(root / "rig.json", "thermal", raw_rig.thermal, thermal_headers)
-    camera, poses = _read_poses(root, raw_rig.rgb, list(rgb_files), warnings)
+    camera, poses, upright = _read_poses(root, raw_rig.rgb, rgb_headers, warnings)
     raw_rig = replace(raw_rig, rgb=camera)
 
     cache = ImageCache(_quarter_of_memory() if cache_bytes is None else cache_bytes)
-    images = _Images(raw_rig, rig_file.radiometry, _size_within(raw_rig.rgb, rgb_max_side), cache)
+    images = _Images(raw_rig, rig_file.radiometry, _size_within(raw_rig.rgb, rgb_max_side), cache, upright)
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         try:
             list(pool.map(images.check, rgb_files.values(), thermal_files.values()))
@@ -87,6 +95,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
         radiometry=rig_file.radiometry,
         poses=poses,
         warnings=tuple(warnings),
+        rgb_upright=upright,
     )
 
 
@@ -105,8 +114,10 @@ class _Images:
     values between those levels.
     """
 
-    def __init__(self, raw_rig: Rig, radiometry: Radiometry, rgb_size: tuple[int, int], cache: ImageCache) -> None:
-        self.rgb_size = rgb_size
+    def __init__(
+        self, raw_rig: Rig, radiometry: Radiometry, rgb_size: tuple[int, int], cache: ImageCache, rgb_upright: bool
+    ) -> None:
+        self.rgb_size, self._rgb_upright = rgb_size, rgb_upright
         self._radiometry, self._cache = radiometry, cache
         self._rgb_undistortion, self._thermal_undistortion = Undistortion(raw_rig.rgb), Undistortion(raw_rig.thermal)
         self.rgb_mask = _shrink(self._rgb_undistortion.mask.astype(np.float32), rgb_size) > 1 - 1e-4  # all of it is valid
@@ -114,7 +125,11 @@ class _Images:
 
     def rgb(self, path: Path) -> NDArray[np.float32]:
         """`[H, W, 3]` of `rgb_size`, undistorted."""
-        return self._cache.get(path, lambda: _shrink(_undistorted(self._rgb_undistortion, path, read_rgb(path)), self.rgb_size))
+
+        def make() -> NDArray[np.float32]:
+            return _shrink(_undistorted(self._rgb_undistortion, path, read_rgb(path, upright=self._rgb_upright)), self.rgb_size)
+
+        return self._cache.get(path, make)
 
     def thermal(self, path: Path) -> NDArray[np.float32]:
         """`[h, w]` in the unit of the radiometry, undistorted."""
@@ -150,21 +165,28 @@ def _paired_files(root: Path) -> tuple[dict[str, Path], dict[str, Path]]:
     return rgb, thermal
 
 
-def _check_sizes(path: Path, which: str, camera: Camera, headers: list[ImageHeader]) -> None:
+def _check_sizes(path: Path, which: str, camera: Camera, headers: list[ImageHeader], *, upright: bool = True) -> None:
     for header in headers:
-        if (header.width, header.height) != (camera.width, camera.height):
-            turned = " (as shown, after its EXIF orientation)" if header.orientation != 1 else ""
+        width, height = header.size(upright=upright)
+        if (width, height) != (camera.width, camera.height):
+            turned = (" (as shown, with its orientation tag)" if upright else " (as stored)") if header.orientation != 1 else ""
             raise RtgsError(
                 f"{path}: {which}.width and height say {camera.width}×{camera.height}, but {header.path} is "
-                f"{header.width}×{header.height}{turned}. Intrinsics belong to one image size: correct them or the images."
+                f"{width}×{height}{turned}. Intrinsics belong to one image size: correct them or the images."
             )
 
 
-def _read_poses(root: Path, calibrated: Camera, names: list[str], warnings: list[str]) -> tuple[Camera, Poses | None]:
-    """The RGB camera that counts, and the poses of frames that exist. `sparse/0` wins over `transforms.json`: it has points."""
+def _read_poses(
+    root: Path, calibrated: Camera, headers: list[ImageHeader], warnings: list[str]
+) -> tuple[Camera, Poses | None, bool]:
+    """The RGB camera that counts, the poses of frames that exist, and whether the images are turned upright.
+
+    `sparse/0` wins over `transforms.json`: it has points.
+    """
     sparse, transforms = root / "sparse" / "0", root / "transforms.json"
     if (root / "sparse").is_dir() and not sparse.is_dir():
         warnings.append("sparse/ has no folder 0 and was ignored; a COLMAP model is expected in sparse/0.")
+    names = [frame_name(header.path.name) for header in headers]
     camera: Camera | None
     if sparse.is_dir():
         if transforms.is_file():
@@ -173,10 +195,12 @@ def _read_poses(root: Path, calibrated: Camera, names: list[str], warnings: list
         camera, poses = read_sparse(sparse)
     elif transforms.is_file():
         source = transforms
-        camera, world_from_rgb = read_transforms(transforms, (calibrated.width, calibrated.height))
+        camera, world_from_rgb = read_transforms(transforms, headers[0].size(upright=False))
         poses = Poses(world_from_rgb, None)
     else:
-        return calibrated, None
+        _check_sizes(root / "rig.json", "rgb", calibrated, headers)
+        _say_orientation(headers, "they are turned upright, as rig.json has to describe them.", warnings)
+        return calibrated, None, True
     known = {name: pose for name, pose in poses.world_from_rgb.items() if name in set(names)}
     if len(known) < MIN_FRAMES:
         raise RtgsError(
@@ -187,15 +211,39 @@ def _read_poses(root: Path, calibrated: Camera, names: list[str], warnings: list
         extra = len(poses.world_from_rgb) - len(known)
         warnings.append(f"{source.relative_to(root)}: {extra} of its poses belong to no image in rgb/ and were ignored.")
     _check_centres(source, known)
+    upright = _posed_upright(source.relative_to(root), camera, headers, warnings)
+    _check_sizes(root / "rig.json", "rgb", calibrated, headers, upright=upright)
     if camera is None:
-        return calibrated, Poses(known, poses.points)
+        return calibrated, Poses(known, poses.points), upright
     if (camera.width, camera.height) != (calibrated.width, calibrated.height):
         raise RtgsError(
             f"{source}: its camera is {camera.width}×{camera.height}, but the images in rgb/ are "
             f"{calibrated.width}×{calibrated.height}. Use the images that the poses were computed from."
         )
     _compare(source.relative_to(root), camera, calibrated, warnings)
-    return camera, Poses(known, poses.points)
+    return camera, Poses(known, poses.points), upright
+
+
+def _posed_upright(source: Path, camera: Camera | None, headers: list[ImageHeader], warnings: list[str]) -> bool:
+    """Whether the poses belong to upright images.
+
+    Programs that find poses read the stored pixels. Where only the upright images have the size of the poses' camera, the poses
+    were found from upright copies.
+    """
+    stored, turned = headers[0].size(upright=False), headers[0].size()
+    upright = camera is not None and stored != (camera.width, camera.height) == turned
+    if upright:
+        said = f"the camera in {source} has the size of the upright images, so they are turned upright."
+    else:
+        said = f"the poses in {source} belong to the stored pixels, so these are used and not turned; rig.json has to describe them too."
+    _say_orientation(headers, said, warnings)
+    return upright
+
+
+def _say_orientation(headers: list[ImageHeader], said: str, warnings: list[str]) -> None:
+    tagged = sum(header.orientation != 1 for header in headers)
+    if tagged:
+        warnings.append(f"{tagged} of the {len(headers)} images in rgb/ have an orientation tag (EXIF or TIFF): {said}")
 
 
 def _check_centres(source: Path, world_from_rgb: Mapping[str, SE3]) -> None:

@@ -1,12 +1,14 @@
 """Image files: headers, decoding, names.
 
-The only place that decodes a capture's images. EXIF orientation is applied here, so that width, height and pixels agree
-everywhere else.
+The only place that decodes a capture's images. A file may carry a tag that says how to turn its stored pixels for display (the
+orientation of EXIF and of TIFF). The caller says whether the tag is applied.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
@@ -14,12 +16,24 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
+from PIL.TiffImagePlugin import TiffImageFile
 
 from rtgs.base.errors import RtgsError
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _ORIENTATION, _DATE_TIME, _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS_ORIGINAL = 0x0112, 0x0132, 0x8769, 0x9003, 0x9291
+_TIFF_WIDTH, _TIFF_HEIGHT = 0x0100, 0x0101
 _COUNT_MODES = ("L", "I", "I;16", "I;16B", "I;16L", "I;16N", "F")
+# What turns upright pixels back to the stored ones, by orientation.
+_STORED_FROM_UPRIGHT = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_90,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_270,
+}
 
 
 @dataclass(frozen=True)
@@ -28,19 +42,23 @@ class ImageHeader:
 
     Attributes:
         path: the file.
-        width, height: as shown, EXIF orientation applied.
+        stored_size: width and height of the stored pixels.
         mode: Pillow's name of the pixel format.
-        orientation: the EXIF value, 1 when absent.
+        orientation: the value of the tag, 1 … 8; 1 (nothing to turn) when it is absent or is another number.
         time_s: when it was taken, in seconds by the camera's clock; None when EXIF does not say. EXIF names no time zone, so only
             differences between files of one camera mean something.
     """
 
     path: Path
-    width: int
-    height: int
+    stored_size: tuple[int, int]
     mode: str
     orientation: int
     time_s: float | None = None
+
+    def size(self, *, upright: bool = True) -> tuple[int, int]:
+        """Width and height: of the picture with its orientation applied, or of the stored pixels."""
+        width, height = self.stored_size
+        return (height, width) if upright and self.orientation in (5, 6, 7, 8) else (width, height)
 
 
 def frame_name(file_name: str) -> str:
@@ -86,17 +104,32 @@ def read_header(path: Path) -> ImageHeader:
     Raises:
         RtgsError: the file isn't a readable image.
     """
+    with _opened(path) as image:
+        return ImageHeader(path, _stored_size(image), image.mode, _orientation(image), _time_s(image.getexif()))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """The image, before its pixels are decoded.
+
+    Pillow gets an open file and not a path: from a path it maps an uncompressed TIFF into memory, and it then uses the upright size
+    for pixels that are stored sideways.
+    """
     try:
-        with Image.open(path) as image:
-            exif = image.getexif()
-            orientation = int(exif.get(_ORIENTATION, 1) or 1)
-            width, height = image.size
-            mode, time_s = image.mode, _time_s(exif)
+        with path.open("rb") as file, Image.open(file) as image:
+            yield image
     except (OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from error
-    if orientation in (5, 6, 7, 8):
-        width, height = height, width
-    return ImageHeader(path, width, height, mode, orientation, time_s)
+
+
+def _stored_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height in the file. Pillow's own size is upright for TIFF, and as stored for the other formats."""
+    return (image.tag_v2[_TIFF_WIDTH], image.tag_v2[_TIFF_HEIGHT]) if isinstance(image, TiffImageFile) else image.size
+
+
+def _orientation(image: Image.Image) -> int:
+    tag = image.getexif().get(_ORIENTATION)
+    return tag if isinstance(tag, int) and tag in _STORED_FROM_UPRIGHT else 1
 
 
 def _time_s(exif: Image.Exif) -> float | None:
@@ -111,13 +144,17 @@ def _time_s(exif: Image.Exif) -> float | None:
         return None
 
 
-def read_rgb(path: Path) -> NDArray[np.float32]:
-    """Decode a colour image upright: `[H, W, 3]` float32 in [0, 1]; grey images get three equal channels.
+def read_rgb(path: Path, *, upright: bool = True) -> NDArray[np.float32]:
+    """Decode a colour image: `[H, W, 3]` float32 in [0, 1]; grey images get three equal channels.
+
+    Args:
+        path: the file.
+        upright: whether the file's orientation is applied; otherwise the pixels are as stored.
 
     Raises:
         RtgsError: the file is unreadable or truncated.
     """
-    image = _decode(path)
+    image = _decode(path, upright=upright)
     _check_rgb_mode(path, image.mode)
     if image.mode.startswith("I"):  # 16-bit grey, under the several names Pillow has for it
         grey = np.asarray(image, dtype=np.float32) / 65535.0
@@ -133,13 +170,10 @@ def check_rgb(path: Path) -> None:
     Raises:
         RtgsError: as `read_rgb`.
     """
-    try:
-        with Image.open(path) as image:
-            image.draft(None, (max(1, image.width // 8), max(1, image.height // 8)))
-            image.load()
-            mode = image.mode
-    except (OSError, SyntaxError, ValueError) as error:
-        raise _unreadable(path, error) from error
+    with _opened(path) as image:
+        image.draft(None, (max(1, image.width // 8), max(1, image.height // 8)))
+        image.load()
+        mode = image.mode
     _check_rgb_mode(path, mode)
 
 
@@ -177,17 +211,18 @@ def check_counts_mode(header: ImageHeader) -> None:
 
 
 def write_upright(path: Path, target: Path) -> None:
-    """Write a copy with the EXIF orientation applied to the pixels (lossless where `target` is PNG)."""
+    """Write a copy with the file's orientation applied to the pixels (lossless where `target` is PNG)."""
     _decode(path).save(target)
 
 
-def _decode(path: Path) -> Image.Image:
-    try:
-        with Image.open(path) as image:
-            image.load()
+def _decode(path: Path, *, upright: bool = True) -> Image.Image:
+    with _opened(path) as image:
+        back = _STORED_FROM_UPRIGHT.get(_orientation(image))
+        image.load()
+        if upright or back is None:
             return ImageOps.exif_transpose(image)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise _unreadable(path, error) from error
+        # Pillow has turned the pixels of a TIFF already while loading them.
+        return image.transpose(back) if isinstance(image, TiffImageFile) else image.copy()
 
 
 def _unreadable(path: Path, error: Exception) -> RtgsError:

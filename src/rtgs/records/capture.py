@@ -101,6 +101,7 @@ class Capture:
         radiometry: how the files' counts became the values of `Frame.thermal`, and the unit of those.
         poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
         warnings: sentences for a person, on things that do not stop a run.
+        rgb_upright: whether the orientation tags of the RGB files are applied; False where poses belong to the stored pixels.
     """
 
     root: Path
@@ -112,6 +113,7 @@ class Capture:
     radiometry: Radiometry
     poses: Poses | None
     warnings: tuple[str, ...] = ()
+    rgb_upright: bool = True
 
 
 @dataclass(frozen=True)

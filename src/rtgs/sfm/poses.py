@@ -83,8 +83,8 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
 def _upright_files(capture: Capture, names: Iterable[str], work_dir: Path) -> tuple[Path, dict[str, str]]:
     """The folder COLMAP reads, and the file names in it by frame name.
 
-    COLMAP reads raw pixels and the cameras here are of upright images, so a capture whose files carry an EXIF orientation is
-    copied upright into the work folder.
+    COLMAP reads the stored pixels. Where the capture's cameras are those of upright images and a file has an orientation tag, upright
+    copies are written into the work folder.
     """
     files = list_images(capture.root / "rgb")
     missing = [name for name in names if name not in files]
@@ -93,7 +93,7 @@ def _upright_files(capture: Capture, names: Iterable[str], work_dir: Path) -> tu
             f"{capture.root / 'rgb'}: the image of frame {missing[0]!r} has gone. Put it back, or load the capture again."
         )
     files = {name: files[name] for name in names}
-    if all(read_header(path).orientation == 1 for path in files.values()):
+    if not capture.rgb_upright or all(read_header(path).orientation == 1 for path in files.values()):
         return capture.root / "rgb", {name: path.name for name, path in files.items()}
     copies = work_dir / "upright"
     copies.mkdir(exist_ok=True)
