@@ -52,7 +52,16 @@ def perfect() -> tuple[Scene, RgbModel, ThermalModel]:
     settings = RenderSettings(near_plane=0.05)
     rgb = RgbModel(ball, torch.tensor([0.2, 0.4, 0.3]), settings)
     hot = replace(ball, sh=(torch.rand(n, 1, 1, generator=g) - 0.5) / C0)
-    thermal = ThermalModel(hot, torch.tensor([0.2]), LinearRange(10.0, 40.0), settings, SFM_PER_METRE)
+    span = LinearRange(10.0, 40.0)
+    thermal = ThermalModel(
+        gaussians=hot,
+        background=torch.tensor([0.2]),
+        unit="°C",
+        range=span,
+        color_range=span,
+        settings=settings,
+        sfm_per_metre=SFM_PER_METRE,
+    )
     poses = {}
     for k in range(10):
         eye = SFM_PER_METRE * np.array([2.4 * math.cos(0.7 * k), 2.4 * math.sin(0.7 * k), 0.8 * math.sin(1.9 * k)])
@@ -178,7 +187,8 @@ def test_each_model_is_seen_from_its_own_poses() -> None:
 
 def test_a_relative_capture_has_counts() -> None:
     scene, rgb, thermal = perfect()
-    scores = evaluate(replace(scene, capture=replace(scene.capture, radiometry=RelativeCounts())), rgb, thermal)
+    scene = replace(scene, capture=replace(scene.capture, radiometry=RelativeCounts()))
+    scores = evaluate(scene, rgb, replace(thermal, unit="counts"))
     assert scores.temperature_range_c is None and scores.count_range == (10.0, 40.0)
     assert set(scores.thermal.known()) == {"psnr", "ssim", "mae_counts"}
     assert any("counts" in line for line in metric_lines(scores)) and not any("°C" in line for line in metric_lines(scores))

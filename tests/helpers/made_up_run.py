@@ -41,7 +41,7 @@ def summary() -> CaptureSummary:
         registered=70,
         failures={"frame_0013": "too few matches", "frame_0014": "blurred <motion>"},
         warnings=("rig.json and the poses disagree by 1.4 % about fl_x; the poses' is used",),
-        thermal_unit="celsius",
+        unit="°C",
         rgb_size=(960, 540),
         thermal_size=(640, 512),
         baseline_m=0.2,

@@ -84,7 +84,16 @@ def known() -> tuple[Scene, RgbModel, ThermalModel]:
     settings = RenderSettings(near_plane=0.05)
     rgb = RgbModel(ball, torch.tensor([0.1, 0.3, 0.2]), settings)
     hot = replace(ball, sh=(torch.rand(n, 1, 1, generator=g) - 0.5) / C0)
-    truth = ThermalModel(hot, torch.tensor([1 / 6]), LinearRange(15.0, 45.0), settings, SFM_PER_METRE)
+    span = LinearRange(15.0, 45.0)
+    truth = ThermalModel(
+        gaussians=hot,
+        background=torch.tensor([1 / 6]),
+        unit="°C",
+        range=span,
+        color_range=span,
+        settings=settings,
+        sfm_per_metre=SFM_PER_METRE,
+    )
     poses = []
     for k in range(10):
         eye = SFM_PER_METRE * np.array([2.6 * math.cos(0.7 * k), 2.6 * math.sin(0.7 * k), 0.9 * math.sin(1.9 * k)])
@@ -158,4 +167,4 @@ def noisy(sigma_c: float, seed: int) -> Scene:
 def model_of(fit: Fit, x: torch.Tensor, scene: Scene, rgb: RgbModel) -> ThermalModel:
     """Unknowns of `fit_of` as a model."""
     span = training_range(scene)
-    return as_model(x, fit.design, rgb, scores=span, colors=span, sfm_per_metre=SFM_PER_METRE)
+    return as_model(x, fit.design, rgb, unit=fit.data.unit, scores=span, colors=span, sfm_per_metre=SFM_PER_METRE)

@@ -91,8 +91,17 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder.write_rgb(RgbModel(gaussians, torch.zeros(3), settings))
     warm = replace(gaussians, sh=torch.full((len(gaussians), 1, 1), (level - 0.5) / C0))
     known = GaussianTemperatures(*(np.linspace(a, a + 1, len(warm)).astype(np.float32) for a in (WALL_C, 0.1, 5.0)))
-    thermal = ThermalModel(warm, torch.tensor([level]), RANGE, settings, SFM_PER_METRE, temperatures=known)
-    folder.write_thermal(thermal, celsius=True)
+    thermal = ThermalModel(
+        gaussians=warm,
+        background=torch.tensor([level]),
+        unit="°C",
+        range=RANGE,
+        color_range=RANGE,
+        settings=settings,
+        sfm_per_metre=SFM_PER_METRE,
+        temperatures=known,
+    )
+    folder.write_thermal(thermal)
     exported = {metres: root / f"metres-{metres}" for metres in (False, True)}
     for metres, out in exported.items():
         main(["export", str(folder.path), "--out", str(out), *(["--metres"] if metres else [])])

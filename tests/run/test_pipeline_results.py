@@ -52,7 +52,7 @@ def test_a_sensors_pattern_is_kept_beside_its_model(finished: Path, tmp_path: Pa
     folder = RunFolder(tmp_path)
     pattern = np.random.default_rng(0).normal(size=(24, 24)).astype(np.float32)
     decision = Decision("pattern", "removed", "It lowers the error.", 0.3, 0.2, "°C", 0.1)
-    folder.write_thermal(replace(model, sensor=SensorModel(pattern=pattern), decisions=(decision,)), celsius=True)
+    folder.write_thermal(replace(model, sensor=SensorModel(pattern=pattern), decisions=(decision,)))
     assert folder.read_thermal().decisions == (decision,)
     found = folder.read_thermal().sensor.pattern
     assert found is not None and found.dtype == np.float32
@@ -92,7 +92,7 @@ def test_a_run_writes_what_the_conventions_name(capture: Path, finished: Path) -
     span = metrics["temperature_range_c"]
     assert colors is not None and colors[0] <= span[0] < span[1] == pytest.approx(colors[1])
     found = RunFolder(finished).read_thermal()
-    assert (found.range.lo, found.range.hi) == (span[0], span[1]) and (found.colors.lo, found.colors.hi) == colors
+    assert (found.range.lo, found.range.hi) == (span[0], span[1]) and (found.color_range.lo, found.color_range.hi) == colors
     assert found.temperatures is not None and np.array_equal(found.temperatures.std, thermal["temperature_std"])
     assert set(metrics["timings_s"]) == set(TITLES) and min(metrics["timings_s"].values()) > 0
 

@@ -26,7 +26,7 @@ def test_design_is_what_render_draws_and_has_its_transpose(degree: int) -> None:
     torch.testing.assert_close((image * y).sum((0, 1)), (out * x).sum(0), rtol=1e-4, atol=1e-3)
     span = LinearRange(10.0, 20.0)
     for c in range(2):
-        model = as_model(x[:, c : c + 1], design, rgb, scores=span, colors=span, sfm_per_metre=SFM_PER_METRE)
+        model = as_model(x[:, c : c + 1], design, rgb, unit="°C", scores=span, colors=span, sfm_per_metre=SFM_PER_METRE)
         np.testing.assert_allclose(model.render(RIG.thermal, fit.data.poses[3]), span.expand(image[..., c].numpy()), atol=1e-3)
         assert image[..., c].min() < -0.2  # below the range
 

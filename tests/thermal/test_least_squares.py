@@ -159,4 +159,4 @@ def test_known_colours_are_recovered_to_a_millikelvin() -> None:
     assert seen.sum() > 30
     found, true = (gaussian_temperatures(scene, m).temperature[seen.numpy()] for m in (model, truth))
     np.testing.assert_allclose(found, true, atol=1e-3)
-    assert float(model.colors.expand(model.background.numpy())[0]) == pytest.approx(20.0, abs=1e-3)
+    assert float(model.color_range.expand(model.background.numpy())[0]) == pytest.approx(20.0, abs=1e-3)

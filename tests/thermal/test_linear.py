@@ -37,7 +37,7 @@ def test_the_default_fit_finds_known_temperatures() -> None:
     scene, _, _ = ring()
     assert held_out_error_c(scene, fitted_ring()) < 0.05  # of 30 °C; what is left is the ridge
     model = fitted_ring()
-    assert float(model.colors.expand(model.background.numpy())[0]) == pytest.approx(20.0, abs=0.02)
+    assert float(model.color_range.expand(model.background.numpy())[0]) == pytest.approx(20.0, abs=0.02)
     assert len(model.history["step"]) == len(model.history["loss"]) > 1 and model.history["loss"][-1] < 3e-3
 
 
@@ -100,7 +100,7 @@ def test_temperatures_below_the_range_survive() -> None:
     assert held_out_error_c(scene, model) < 0.05
     directions = torch.nn.functional.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(3)), dim=1)
     colors = 0.5 + torch.einsum("dk,nk->nd", basis(directions, 1), model.gaussians.sh[..., 0])
-    assert float(colors.min()) > 0.0 and model.colors.lo < lowest and model.colors.hi == model.range.hi
+    assert float(colors.min()) > 0.0 and model.color_range.lo < lowest and model.color_range.hi == model.range.hi
     deepest = min(
         float(model.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)).min()) for f in scene.train_frames
     )

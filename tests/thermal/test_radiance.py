@@ -70,7 +70,7 @@ def test_the_range_is_its_own_inverse_and_mixes_signals() -> None:
 def test_mixed_pixels_are_right_in_radiance_and_wrong_in_celsius() -> None:
     scene, rgb, _ = mixed()
     model = fitted()
-    assert isinstance(model.colors, PlanckRange)
+    assert isinstance(model.color_range, PlanckRange)
     in_celsius = fit_thermal(with_thermal(scene, {}, radiometry=CELSIUS), rgb, SFM_PER_METRE)
     right, wrong = held_out_error_c(scene, model), held_out_error_c(scene, in_celsius)
     assert right < 0.2 and wrong > 2.0 * right
@@ -91,7 +91,7 @@ def test_another_emissivity_needs_no_other_fit() -> None:
 def test_temperatures_of_gaussians_are_in_celsius() -> None:
     scene, _, truth = mixed()
     found = gaussian_temperatures(scene, fitted())
-    colors = truth.colors.expand((0.5 + truth.gaussians.sh[:, 0, 0].numpy() * 0.28209479177387814).clip(0))
+    colors = truth.color_range.expand((0.5 + truth.gaussians.sh[:, 0, 0].numpy() * 0.28209479177387814).clip(0))
     seen = found.views >= 14
     assert np.median(np.abs(found.temperature - colors)[seen]) < 0.5
     assert (found.std > 0).all() and np.median(found.std[seen]) < 1.0
@@ -111,15 +111,15 @@ def test_drift_is_told_in_the_signal() -> None:
 def test_the_paper_s_solver_too() -> None:
     scene, rgb, _ = mixed()
     model = fit_thermal(scene, rgb, SFM_PER_METRE, ThermalConfig(solver="adam", steps=100, learning_rate=5e-2))
-    assert isinstance(model.colors, PlanckRange) and held_out_error_c(scene, model) < 4.0
+    assert isinstance(model.color_range, PlanckRange) and held_out_error_c(scene, model) < 4.0
 
 
 def test_a_run_keeps_the_constants(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     model = replace(fitted(), temperatures=None)
-    folder.write_thermal(model, celsius=True)
+    folder.write_thermal(model)
     again = folder.read_thermal()
-    assert again.colors == model.colors and again.range == model.range
+    assert again.color_range == model.color_range and again.range == model.range
     data = folder.read_json("thermal.json")
     del data["drift"]
     folder.write_json("thermal.json", data)

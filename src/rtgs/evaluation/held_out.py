@@ -67,7 +67,7 @@ def evaluate(
         if progress is not None:
             progress(done + 1, len(frames), frame.name)
     models = {key: ModelScores.of(per_frame) for key, per_frame in scores.items()}
-    span, celsius = (thermal_model.range.lo, thermal_model.range.hi), capture.radiometry.unit == "°C"
+    span, celsius = (thermal_model.range.lo, thermal_model.range.hi), thermal_model.unit == "°C"
     return Evaluation(
         models["rgb"],
         models["thermal"],
@@ -97,10 +97,9 @@ def _draw_thermal(folder: Path, frame: Frame, temperature: np.ndarray, scene: Sc
     """Reference, render and error of one view; invalid pixels of the sensor are gray."""
     reference = np.where(scene.capture.thermal_mask, frame.thermal, np.nan)
     lo, hi = model.range.lo, model.range.hi
-    unit = scene.capture.radiometry.unit
     save_png(folder / f"{frame.name}.reference.png", palette(reference, lo, hi))
     save_png(folder / f"{frame.name}.render.png", palette(temperature, lo, hi))
-    save_png(folder / f"{frame.name}.error.png", error_map(temperature, reference, THERMAL_ERROR_SHARE * (hi - lo), unit))
+    save_png(folder / f"{frame.name}.error.png", error_map(temperature, reference, THERMAL_ERROR_SHARE * (hi - lo), model.unit))
 
 
 def _draw_overlays(folder: Path, frame: Frame, scene: Scene, rgb_model: RgbModel, thermal_model: ThermalModel) -> None:

@@ -33,7 +33,7 @@ def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[
     rgb, thermal = folder.read_rgb(), folder.read_thermal()
     out.mkdir(parents=True, exist_ok=True)
     write_ply(out / "rgb.ply", rgb.gaussians.scaled(factor))
-    write_thermal_ply(out / "thermal.ply", thermal, celsius=scene.capture.radiometry.unit == "°C", factor=factor)
+    write_thermal_ply(out / "thermal.ply", thermal, factor=factor)
     scaled = scaled_scene(scene, factor)
     files = {name: f"rgb/{name}.png" for name in scaled.world_from_rgb}
     write_transforms(out / "transforms.json", scene.rig.rgb, scaled.world_from_rgb, files)

@@ -194,9 +194,9 @@ class RunFolder:
         """
         return model_files.read_rgb(self.path)
 
-    def write_thermal(self, model: ThermalModel, name: str = "thermal", *, celsius: bool) -> None:
+    def write_thermal(self, model: ThermalModel, name: str = "thermal") -> None:
         """Write a thermal model: `thermal`, or `thermal_naive`, the control at scale 1."""
-        model_files.write_thermal(self.path, model, name, celsius=celsius)
+        model_files.write_thermal(self.path, model, name)
 
     def read_thermal(self, name: str = "thermal") -> ThermalModel:
         """A thermal model, or the control.

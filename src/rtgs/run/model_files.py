@@ -59,9 +59,9 @@ def read_rgb(run: Path) -> RgbModel:
     return RgbModel(read_ply(run / "rgb.ply"), _tensor(file.background), file.settings, file.history)
 
 
-def write_thermal(run: Path, model: ThermalModel, name: str, *, celsius: bool) -> None:
+def write_thermal(run: Path, model: ThermalModel, name: str) -> None:
     """Write `NAME.ply`, `NAME.json` and, where the sensor has a pattern, `NAME_pattern.tiff`."""
-    write_thermal_ply(run / f"{name}.ply", model, celsius=celsius)
+    write_thermal_ply(run / f"{name}.ply", model)
     pattern = None
     if model.sensor.pattern is not None:
         pattern = f"{name}_pattern.tiff"
@@ -74,7 +74,7 @@ def write_thermal(run: Path, model: ThermalModel, name: str, *, celsius: bool) -
             model.settings,
             model.history,
             model.range,
-            model.colors,
+            model.color_range,
             model.sfm_per_metre,
             model.sensor.drift,
             pattern,
@@ -93,27 +93,28 @@ def read_thermal(run: Path, name: str) -> ThermalModel:
     ply = read_thermal_ply(run / f"{name}.ply")
     found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
     return ThermalModel(
-        ply.gaussians,
-        _tensor(file.background),
-        file.range,
-        file.settings,
-        file.sfm_per_metre,
-        file.history,
-        file.color_range,
-        SensorModel(file.drift, None if file.pattern is None else np.asarray(Image.open(run / file.pattern))),
-        GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
-        file.decisions,
+        gaussians=ply.gaussians,
+        background=_tensor(file.background),
+        unit="counts" if ply.celsius_range is None else "°C",
+        range=file.range,
+        color_range=file.color_range,
+        settings=file.settings,
+        sfm_per_metre=file.sfm_per_metre,
+        history=file.history,
+        sensor=SensorModel(file.drift, None if file.pattern is None else np.asarray(Image.open(run / file.pattern))),
+        temperatures=GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
+        decisions=file.decisions,
     )
 
 
-def write_thermal_ply(path: Path, model: ThermalModel, *, celsius: bool, factor: float = 1.0) -> None:
+def write_thermal_ply(path: Path, model: ThermalModel, *, factor: float = 1.0) -> None:
     """Write a thermal model with its lengths × `factor`; counts are no temperature and are not written as one."""
-    found = model.temperatures
+    found, celsius = model.temperatures, model.unit == "°C"
     known = (found.temperature, found.std, found.views) if found is not None and celsius else ()
     write_ply(
         path,
         model.gaussians.scaled(factor) if factor != 1.0 else model.gaussians,
-        celsius_range=(model.colors.lo, model.colors.hi) if celsius else None,
+        celsius_range=(model.color_range.lo, model.color_range.hi) if celsius else None,
         properties=dict(zip(THERMAL_PROPERTIES, known, strict=False)),
     )
 

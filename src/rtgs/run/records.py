@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
 
+from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import from_json, read_run_json
+from rtgs.records.radiometry import Unit
 from rtgs.records.scene import Scene
+
+_EARLIER_UNITS = {"celsius": "°C", "relative": "counts"}
 
 
 @dataclass(frozen=True)
@@ -17,7 +22,7 @@ class CaptureSummary:
         frames: image pairs in the folder. registered: those that have a pose.
         failures: frame → why it has none.
         warnings: what a person should know about the capture.
-        thermal_unit: "relative" where `rig.json` gives no radiometry.
+        unit: of thermal images; "counts" where `rig.json` gives no radiometry.
         rgb_size, thermal_size: width and height in pixels, as used.
         baseline_m: distance between the two cameras in metres; None where nothing states it.
     """
@@ -26,7 +31,7 @@ class CaptureSummary:
     registered: int
     failures: Mapping[str, str]
     warnings: Sequence[str]
-    thermal_unit: Literal["celsius", "relative"]
+    unit: Unit
     rgb_size: tuple[int, int]
     thermal_size: tuple[int, int]
     baseline_m: float | None = None
@@ -40,8 +45,24 @@ class CaptureSummary:
             registered=len(scene.frames),
             failures=dict(scene.failures),
             warnings=capture.warnings,
-            thermal_unit="celsius" if capture.radiometry.unit == "°C" else "relative",
+            unit=capture.radiometry.unit,
             rgb_size=(rig.rgb.width, rig.rgb.height),
             thermal_size=(rig.thermal.width, rig.thermal.height),
             baseline_m=rig.baseline_m,
         )
+
+    @staticmethod
+    def read(path: Path) -> CaptureSummary:
+        """From `capture_summary.json`; `thermal_unit`, as 0.1.0 called the unit, is understood too.
+
+        Raises:
+            RtgsError: the file is missing or damaged, or of another version.
+        """
+        data = read_run_json(path)
+        if isinstance(data, dict) and "thermal_unit" in data:
+            earlier = data.pop("thermal_unit")
+            data["unit"] = _EARLIER_UNITS.get(earlier, earlier)
+        try:
+            return from_json(CaptureSummary, data, str(path))
+        except RtgsError as error:
+            raise RtgsError(f"{error} Remove it and run again.") from None

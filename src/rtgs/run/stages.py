@@ -106,7 +106,7 @@ def _fit_temperatures(job: Job) -> None:
     from rtgs.thermal import fit_thermal, gaussian_temperatures
 
     scene, rgb, config = job.scene, job.folder.read_rgb(), job.config.thermal
-    sfm_per_metre, celsius = job.folder.read_scale().sfm_per_metre, scene.capture.radiometry.unit == "°C"
+    sfm_per_metre = job.folder.read_scale().sfm_per_metre
 
     def fit(at: float, progress: Progress) -> ThermalModel:
         return fit_thermal(scene, rgb, at, config, progress=progress)
@@ -114,10 +114,10 @@ def _fit_temperatures(job: Job) -> None:
     with job.work("thermal", TITLES["thermal"]) as progress:
         model = fit(sfm_per_metre, progress)
         model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress))
-    job.folder.write_thermal(model, celsius=celsius)
+    job.folder.write_thermal(model)
     with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
         naive = fit(1.0, progress)
-    job.folder.write_thermal(naive, "thermal_naive", celsius=celsius)
+    job.folder.write_thermal(naive, "thermal_naive")
     job.say(f"thermal: {len(model.gaussians):,} Gaussians with a temperature")
 
 

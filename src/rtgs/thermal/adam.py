@@ -71,5 +71,12 @@ def fit_adam(
             progress(step + 1, config.steps, f"loss {np.mean(recent):.4f}")
     coefficients = torch.cat([constant, directional], dim=1).detach()
     return ThermalModel(
-        replace(frozen, sh=coefficients), background.detach().clone(), span, settings, float(sfm_per_metre), history, colors
+        gaussians=replace(frozen, sh=coefficients),
+        background=background.detach().clone(),
+        unit=scene.capture.radiometry.unit,
+        range=span,
+        color_range=colors,
+        settings=settings,
+        sfm_per_metre=float(sfm_per_metre),
+        history=history,
     )

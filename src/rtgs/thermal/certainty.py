@@ -57,7 +57,7 @@ def gaussian_temperatures(
     camera, linear = scene.rig.thermal, LinearSettings()
     threads = linear.threads_for(camera.width * camera.height)
     with threads_at_most(threads):
-        data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.colors)
+        data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.color_range)
         design = Design(model.gaussians, camera, data.poses, model.gaussians.sh_degree, model.settings, threads=threads)
         passes = Passes(len(data) * (settings.iterations + 2), progress, "standard errors")
         generator = torch.Generator().manual_seed(0)
@@ -71,8 +71,8 @@ def gaussian_temperatures(
         value = 0.5 + (mean_basis * model.gaussians.sh[..., 0]).sum(dim=1)
         passes.finish()
     sigma = math.sqrt(seen.squares / max(seen.pixels - samples.degrees_of_freedom, 0.1 * seen.pixels))
-    std = _std_in_degrees(model.colors, value.numpy(), sigma * variance.sqrt().numpy())
-    return GaussianTemperatures(model.colors.expand(value.numpy()), std, seen.views.numpy())
+    std = _std_in_degrees(model.color_range, value.numpy(), sigma * variance.sqrt().numpy())
+    return GaussianTemperatures(model.color_range.expand(value.numpy()), std, seen.views.numpy())
 
 
 @dataclass(eq=False)
@@ -132,7 +132,7 @@ def _sum_over_views(
         design.add_blocks(f, colors[:, 0].contiguous(), bounds)
         design.add_blocks(f, (colors[:, 1:] ** 2).mean(dim=1), blocks)
         image = model.render(camera, data.poses[f], photographed_in=name)
-        shown = torch.from_numpy(model.colors.normalise(image))
+        shown = torch.from_numpy(model.color_range.normalise(image))
         squares += float((data.valid * (data.images[f] - shown) ** 2).sum())
         each()
     noise_ratio = max(squares / pixels / max(float(values.var()), 1e-12), 1e-4)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rtgs.maths import sh
 from rtgs.models import RgbModel, ThermalModel
-from rtgs.records.radiometry import LinearRange, ThermalRange, extended
+from rtgs.records.radiometry import LinearRange, ThermalRange, Unit, extended
 from rtgs.thermal.design import Design
 
 
@@ -23,7 +23,7 @@ def affine(design: Design, x: Tensor, gain: float, offset: float) -> Tensor:
 
 
 def as_model(
-    x: Tensor, design: Design, rgb_model: RgbModel, *, scores: LinearRange, colors: ThermalRange, sfm_per_metre: float
+    x: Tensor, design: Design, rgb_model: RgbModel, *, unit: Unit, scores: LinearRange, colors: ThermalRange, sfm_per_metre: float
 ) -> ThermalModel:
     """Unknowns `[D, 1]` as a thermal model.
 
@@ -32,6 +32,7 @@ def as_model(
     constant part (addition theorem of spherical harmonics).
 
     Args:
+        unit: the model's.
         scores: the model's `range`.
         colors: the range whose units the unknowns are in.
     """
@@ -44,10 +45,11 @@ def as_model(
     stored = harmonics / (1.0 - floor)
     stored[:, 0] += (-floor / (1.0 - floor) - 0.5) / sh.C0
     return ThermalModel(
-        replace(rgb_model.gaussians.detach(), sh=stored[..., None].contiguous()),
-        torch.tensor([(background - floor) / (1.0 - floor)]),
-        scores,
-        rgb_model.settings,
-        float(sfm_per_metre),
+        gaussians=replace(rgb_model.gaussians.detach(), sh=stored[..., None].contiguous()),
+        background=torch.tensor([(background - floor) / (1.0 - floor)]),
+        unit=unit,
+        range=scores,
         color_range=extended(colors, floor),
+        settings=rgb_model.settings,
+        sfm_per_metre=float(sfm_per_metre),
     )

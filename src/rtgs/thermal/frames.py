@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rtgs.maths.geometry import SE3
 from rtgs.records.capture import Frame
-from rtgs.records.radiometry import LinearRange, PlanckRadiometry, PlanckRange, ThermalRange
+from rtgs.records.radiometry import LinearRange, PlanckRadiometry, PlanckRange, ThermalRange, Unit
 from rtgs.records.scene import Scene
 
 RANGE_PERCENTILE = 0.1  # the range of a capture: 0.1–99.9 percentile of its training thermal images
@@ -47,7 +47,7 @@ class ThermalFrames:
     images: tuple[Tensor, ...]
     valid: Tensor
     poses: tuple[SE3, ...]
-    unit: str = "°C"
+    unit: Unit = "°C"
     unit_size: float = 1.0
 
     @staticmethod

@@ -86,6 +86,7 @@ def fit_linear(
             sensor = replace(sensor, drift=gauged.by_frame(data.names, span))
         x = affine(fit.design, final.fitted.x, gain, fit.median * (1.0 - gain) + offset)
         passes.finish()
-        model = as_model(x, fit.design, rgb_model, scores=training_range(scene), colors=span, sfm_per_metre=sfm_per_metre)
+        scores = training_range(scene)
+        model = as_model(x, fit.design, rgb_model, unit=data.unit, scores=scores, colors=span, sfm_per_metre=sfm_per_metre)
         decisions = (rows, drift, pattern, gains, ridge)
         return replace(model, history=final.history, sensor=sensor, decisions=decisions)

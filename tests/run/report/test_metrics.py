@@ -18,7 +18,7 @@ def changed(run: Path, found: Evaluation) -> Path:
 
 def test_relative_thermal_counts_are_not_called_degrees(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
-    write_json(run / "capture_summary.json", replace(summary(), thermal_unit="relative"))
+    write_json(run / "capture_summary.json", replace(summary(), unit="counts"))
     counts = ModelScores(psnr=31.84, ssim=0.941, mae_counts=40.26)
     changed(run, Evaluation(evaluation().rgb, counts, replace(counts, mae_counts=50.0), count_range=(100.0, 900.0)))
     page = page_of(run)

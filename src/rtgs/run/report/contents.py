@@ -13,6 +13,7 @@ from rtgs.base.json_records import from_json, read_record, read_run_json
 from rtgs.config import RunConfig
 from rtgs.evaluation.records import Evaluation
 from rtgs.records.decision import Decision
+from rtgs.records.radiometry import Unit
 from rtgs.run.config_file import read_config
 from rtgs.run.records import CaptureSummary
 from rtgs.scale import ScaleEstimate
@@ -52,7 +53,7 @@ class Contents:
             capture=config.capture if config else None,
             settings=config.config if config else None,
             version=config.version if config else None,
-            summary=_optional(run / "capture_summary.json", lambda path: read_record(CaptureSummary, path)),
+            summary=_optional(run / "capture_summary.json", CaptureSummary.read),
             scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
             decisions=_optional(run / "thermal.json", _decisions) or (),
@@ -69,9 +70,9 @@ class Contents:
         return f"rtgs run {shlex.quote(str(self.capture or 'CAPTURE'))} --out {shlex.quote(str(self.path))}"
 
     @property
-    def unit(self) -> str:
-        """ "°C", or "" where thermal values are relative counts."""
-        return "" if self.summary is not None and self.summary.thermal_unit == "relative" else "°C"
+    def unit(self) -> Unit:
+        """Of thermal values."""
+        return "°C" if self.summary is None else self.summary.unit
 
     @property
     def thermal_range(self) -> tuple[float, float] | None:

@@ -21,7 +21,7 @@ def inputs_section(run: Contents) -> str:
             "Frames": f"{summary.frames}, of which {summary.registered} registered",
             "RGB image": size(summary.rgb_size),
             "Thermal image": size(summary.thermal_size),
-            "Thermal unit": {"celsius": "°C", "relative": "relative counts"}[summary.thermal_unit],
+            "Thermal unit": summary.unit,
             "Baseline": length(summary.baseline_m) if summary.baseline_m else None,
         }
     inside = facts(values | {"rtgs": run.version}) + _settings(run)

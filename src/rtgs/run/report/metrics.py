@@ -42,7 +42,7 @@ def _notes(run: Contents, evaluation: Evaluation, columns: list[str]) -> list[st
     note = "Means over held-out frames" + (f" ({count})" if count else "") + "; nothing was fitted to them."
     if run.thermal_range:
         lo, hi = run.thermal_range
-        note += f" Thermal PSNR, SSIM and LPIPS are on the range {lo:.1f} to {hi:.1f} {run.unit or 'counts'}."
+        note += f" Thermal PSNR, SSIM and LPIPS are on the range {lo:.1f} to {hi:.1f} {run.unit}."
     if "lpips" in columns:
         note += " LPIPS (AlexNet): how different two pictures look, 0 for equal ones."
     command = html.escape(f"rtgs eval {shlex.quote(str(run.path))}")

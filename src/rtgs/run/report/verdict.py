@@ -59,9 +59,9 @@ def _thermal(run: Contents) -> list[str]:
         else:
             better = "better" if gain > 0 else "worse"
             sentence += f", <strong>{abs(gain):.1f}\u00a0dB {better}</strong> than with the scale ignored"
-    if thermal.mae_c is not None and run.unit:
+    if thermal.mae_c is not None:
         sentence += f"; its temperatures are off by <strong>{thermal.mae_c:.2f}\u00a0°C</strong> on average"
     said = [sentence + "."]
-    if not run.unit:
+    if run.unit == "counts":
         said.append("The capture has no radiometric calibration, so thermal values are relative, not degrees.")
     return said

@@ -86,5 +86,6 @@ def _colour_bar(run: Contents) -> str:
         return ""
     colours = matplotlib.colormaps["inferno"](np.linspace(0, 1, 12))[:, :3]
     stops = ", ".join(matplotlib.colors.to_hex(c) for c in colours)
-    ticks = "".join(f"<span>{t:.1f}{' ' + run.unit if run.unit else ''}</span>" for t in np.linspace(*run.thermal_range, 5))
+    unit = " °C" if run.unit == "°C" else ""
+    ticks = "".join(f"<span>{t:.1f}{unit}</span>" for t in np.linspace(*run.thermal_range, 5))
     return f'<div class="scale"><div style="background:linear-gradient(to right, {stops})"></div><p>{ticks}</p></div>'
