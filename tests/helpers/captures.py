@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 import pytest
+from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.io.capture import load_capture
@@ -28,6 +29,13 @@ NAMES = tuple(f"10-5{i}.{i}" for i in range(5))  # a dot in a stem is not a suff
 POSES = {name: look_at([np.cos(i / 5), np.sin(i / 5), 0.1 * i], [0.0, 0.0, 0.0]) for i, name in enumerate(NAMES)}
 ARCO = Path(os.environ.get("RTGS_DATA", Path(__file__).parents[3] / "shared" / "data")) / "arco"
 needs_arco = pytest.mark.skipif(not ARCO.is_dir(), reason="the real capture arco is not here (RTGS_DATA or ../shared/data)")
+
+
+def thermal_counts(level: float, dtype: Any = np.uint16) -> NDArray[Any]:
+    """`[32, 40]`: `level` everywhere but for one row, which is higher by 4."""
+    counts = np.full((32, 40), level, dtype=dtype)
+    counts[5] += 4
+    return counts
 
 
 def edit_rig(root: Path, change: Callable[[dict[str, Any]], Any]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.helpers.captures import NAMES, RADIOMETRY, RGB, RGB_FROM_THERMAL, THERMAL
+from tests.helpers.captures import NAMES, RADIOMETRY, RGB, RGB_FROM_THERMAL, THERMAL, thermal_counts
 
 from rtgs.io.rig import write_rig
 from rtgs.records.rig import Rig
@@ -22,6 +22,6 @@ def root(tmp_path: Path) -> Path:
     rng = np.random.default_rng(0)
     for i, name in enumerate(NAMES):
         Image.fromarray(rng.integers(0, 256, (48, 64, 3), dtype=np.uint8)).save(root / "rgb" / f"{name}.png")
-        Image.fromarray(np.full((32, 40), 4800 + i, dtype=np.uint16)).save(root / "thermal" / f"{name}.tiff")
+        Image.fromarray(thermal_counts(4800 + i)).save(root / "thermal" / f"{name}.tiff")
     write_rig(root / "rig.json", Rig(RGB, THERMAL, RGB_FROM_THERMAL), RADIOMETRY)
     return root

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.helpers.captures import NAMES, edit_rig, refused
+from tests.helpers.captures import NAMES, edit_rig, refused, thermal_counts
 
 from rtgs.io.capture import load_capture
 from rtgs.io.image_files import check_rgb, frame_name, in_thermal_folder, read_header, read_rgb
@@ -33,11 +33,12 @@ def test_frame_names() -> None:
     ],
 )
 def test_thermal_formats(root: Path, suffix: str, dtype: type, value: float) -> None:
-    edit_rig(root, lambda d: d["thermal"].update(celsius_per_count=1, celsius_offset=0))
-    for name in NAMES:
+    edit_rig(root, lambda d: [d["thermal"].pop(key) for key in ("celsius_per_count", "celsius_offset")])
+    for i, name in enumerate(NAMES):
         (root / "thermal" / f"{name}.tiff").unlink()
-        Image.fromarray(np.full((32, 40), value, dtype=dtype)).save(root / "thermal" / f"{name}{suffix}")
-    np.testing.assert_array_equal(load_capture(root).frames[0].thermal, value)
+        Image.fromarray(thermal_counts(value + i, dtype)).save(root / "thermal" / f"{name}{suffix}")
+    for i, frame in enumerate(load_capture(root).frames):
+        np.testing.assert_array_equal(frame.thermal, thermal_counts(value + i, dtype))
 
 
 def test_exif_orientation_is_applied(root: Path) -> None:

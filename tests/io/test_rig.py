@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from tests.helpers.captures import NAMES, RADIOMETRY, RGB, RGB_FROM_THERMAL, THERMAL, edit_rig, refused
+from tests.helpers.captures import NAMES, RADIOMETRY, RGB, RGB_FROM_THERMAL, THERMAL, edit_rig, refused, thermal_counts
 
 from rtgs.base.errors import RtgsError
 from rtgs.io.capture import load_capture
@@ -43,17 +43,18 @@ def test_centikelvin(root: Path) -> None:
         data["thermal"]["unit"] = "centikelvin"
 
     edit_rig(root, use_unit)
-    for name in NAMES:
-        Image.fromarray(np.full((32, 40), 29815, dtype=np.uint16)).save(root / "thermal" / f"{name}.tiff")
-    np.testing.assert_allclose(load_capture(root).frames[0].thermal, 25.0, atol=1e-5)
+    for i, name in enumerate(NAMES):
+        Image.fromarray(thermal_counts(29815 + i)).save(root / "thermal" / f"{name}.tiff")
+    np.testing.assert_allclose(load_capture(root).frames[0].thermal, (thermal_counts(29815) - 27315) / 100, atol=1e-5)
 
 
 def use_planck(root: Path, change: Callable[[dict[str, Any]], Any] = lambda thermal: None) -> None:
-    """Thermal files of 30.00, 30.01, … °C as a camera with Planck constants stores them, and the rig that says so."""
+    """Thermal files of 30.00, 30.01, … °C, the last row 1 °C warmer, as a camera with Planck constants stores them, and the rig that says so."""
     write_rig(root / "rig.json", Rig(RGB, THERMAL, RGB_FROM_THERMAL), PLANCK)
     for i, name in enumerate(NAMES):
-        signal = PLANCK.counts(np.full((32, 40), 30.0 + 0.01 * i)).astype(np.float32)
-        Image.fromarray(signal).save(root / "thermal" / f"{name}.tiff")
+        temperature_c = np.full((32, 40), 30.0 + 0.01 * i)
+        temperature_c[-1] += 1
+        Image.fromarray(PLANCK.counts(temperature_c).astype(np.float32)).save(root / "thermal" / f"{name}.tiff")
     edit_rig(root, lambda d: change(d["thermal"]))
 
 
@@ -63,14 +64,14 @@ def test_planck_constants_and_object_parameters(root: Path) -> None:
     capture = load_capture(root)
     assert capture.radiometry.unit == "°C" and capture.warnings == ()
     assert capture.frames[2].thermal.dtype == np.float32
-    np.testing.assert_allclose(capture.frames[2].thermal, 30.02, atol=2e-4)  # the float32 signal of the file: 0.001 counts
+    np.testing.assert_allclose(capture.frames[2].thermal[:-1], 30.02, atol=2e-4)  # the float32 signal of the file: 0.001 counts
 
 
 def test_another_emissivity_in_the_rig_file_changes_temperatures_as_the_formula_says(root: Path) -> None:
     use_planck(root, lambda thermal: thermal["object"].update(emissivity=0.7, reflected_c=-20.0))
     expected = PLANCK.reevaluated(np.array([30.0]), emissivity=0.7, reflected_c=-20.0)
     assert expected > 40
-    np.testing.assert_allclose(load_capture(root).frames[0].thermal, expected[0], atol=5e-4)
+    np.testing.assert_allclose(load_capture(root).frames[0].thermal[:-1], expected[0], atol=5e-4)
 
 
 def test_atmosphere_defaults_to_flirs(root: Path) -> None:
@@ -113,7 +114,7 @@ def test_without_radiometry_counts_are_relative(root: Path) -> None:
     edit_rig(root, lambda d: (d["thermal"].pop("celsius_per_count"), d["thermal"].pop("celsius_offset")))
     capture = load_capture(root)
     assert capture.radiometry == RelativeCounts() and capture.radiometry.unit == "counts"
-    np.testing.assert_array_equal(capture.frames[2].thermal, 4802)
+    np.testing.assert_array_equal(capture.frames[2].thermal, thermal_counts(4802))
 
 
 def test_rig_file_round_trip(root: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 from PIL import Image
+from tests.helpers.captures import thermal_counts
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import SfmConfig
@@ -72,9 +73,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("room")
     (root / "rgb").mkdir()
     (root / "thermal").mkdir()
-    for name, pose in POSES.items():
+    for i, (name, pose) in enumerate(POSES.items()):
         Image.fromarray(render(pose)).save(root / "rgb" / f"{name}.png")
-        Image.fromarray(np.full((32, 40), 3000, np.uint16)).save(root / "thermal" / f"{name}.png")
+        Image.fromarray(thermal_counts(3000 + i)).save(root / "thermal" / f"{name}.png")
     write_rig(root / "rig.json", Rig(RGB, THERMAL, SE3(np.eye(3), np.array([0.05, 0.0, 0.0]))), RelativeCounts())
     return root
 

@@ -22,16 +22,16 @@ from rtgs.io.image_files import (
     check_rgb,
     frame_name,
     list_images,
-    read_counts,
     read_header,
     read_rgb,
 )
 from rtgs.io.rig import read_rig
+from rtgs.io.thermal_files import ThermalFile, check_formats, check_thermal_file, check_together, common_no_data, thermal_values
 from rtgs.io.transforms import read_transforms
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera, Undistortion
 from rtgs.records.capture import Capture, Frame, Poses
-from rtgs.records.radiometry import ZERO_CELSIUS_K, PlanckRadiometry, Radiometry
+from rtgs.records.radiometry import Radiometry
 from rtgs.records.rig import Rig
 
 MIN_FRAMES = 3
@@ -69,6 +69,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     thermal_headers = [read_header(path) for path in thermal_files.values()]
     for header in thermal_headers:
         check_counts_mode(header)
+    check_formats(thermal_headers, rig_file.radiometry)
     raw_rig = rig_file.rig
     _check_sizes(root / "rig.json", "thermal", raw_rig.thermal, thermal_headers)
     camera, poses, upright = _read_poses(root, raw_rig.rgb, rgb_headers, warnings)
@@ -78,10 +79,12 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     images = _Images(raw_rig, rig_file.radiometry, _size_within(raw_rig.rgb, rgb_max_side), cache, upright)
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         try:
-            list(pool.map(images.check, rgb_files.values(), thermal_files.values()))
+            checked = list(pool.map(images.check, rgb_files.values(), thermal_files.values()))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+    check_together(checked, list(rgb_files.values()), rig_file.radiometry)
+    images.leave_out(common_no_data(checked, warnings))
     return Capture(
         root=root,
         raw_rig=raw_rig,
@@ -134,13 +137,19 @@ class _Images:
     def thermal(self, path: Path) -> NDArray[np.float32]:
         """`[h, w]` in the unit of the radiometry, undistorted."""
         return self._cache.get(
-            path, lambda: _undistorted(self._thermal_undistortion, path, _thermal_values(path, self._radiometry))
+            path, lambda: _undistorted(self._thermal_undistortion, path, thermal_values(path, self._radiometry)[0])
         )
 
-    def check(self, rgb: Path, thermal: Path) -> None:
-        """Refuse files that could not be made images of later."""
+    def check(self, rgb: Path, thermal: Path) -> ThermalFile:
+        """Refuse files that could not be made images of later; what the thermal one holds."""
         check_rgb(rgb)
-        _thermal_values(thermal, self._radiometry)
+        return check_thermal_file(thermal, self._radiometry)
+
+    def leave_out(self, no_data: NDArray[np.bool_] | None) -> None:
+        """Take pixels `[h, w]` of the thermal files out of the thermal mask."""
+        if no_data is not None:
+            valid = self._thermal_undistortion.apply((~no_data).astype(np.float32))
+            self.thermal_mask = self.thermal_mask & (valid > 1 - 1e-4)
 
 
 def _undistorted(undistortion: Undistortion, path: Path, image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -262,16 +271,6 @@ def _compare(source: Path, camera: Camera, calibrated: Camera, warnings: list[st
     if far:
         said = ", ".join(f"{n} {getattr(camera, n):.1f} and {getattr(calibrated, n):.1f}" for n in far)
         warnings.append(f"RGB intrinsics of {source} and rig.json differ by more than 1 % ({said}); those of {source} are used.")
-
-
-def _thermal_values(path: Path, radiometry: Radiometry) -> NDArray[np.float32]:
-    values = radiometry.values(read_counts(path))
-    if isinstance(radiometry, PlanckRadiometry) and values.min() <= -ZERO_CELSIUS_K:
-        raise RtgsError(
-            f"{path}: under thermal.planck and thermal.object of rig.json, {np.mean(values <= -ZERO_CELSIUS_K):.1%} of its pixels "
-            "give less than what is reflected and emitted on the way. Is object.emissivity too low, or object.reflected_c too high?"
-        )
-    return values
 
 
 def _size_within(camera: Camera, max_side: int) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,8 @@ from rtgs.base.errors import RtgsError
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _ORIENTATION, _DATE_TIME, _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS_ORIGINAL = 0x0112, 0x0132, 0x8769, 0x9003, 0x9291
-_TIFF_WIDTH, _TIFF_HEIGHT = 0x0100, 0x0101
+_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_PHOTOMETRIC, _TIFF_SAMPLE_FORMAT = 0x0100, 0x0101, 0x0102, 0x0106, 0x0153
+_MIN_IS_WHITE, _UNSIGNED, _GDAL_NODATA = 0, 1, 0xA481
 _COUNT_MODES = ("L", "I", "I;16", "I;16B", "I;16L", "I;16N", "F")
 # What turns upright pixels back to the stored ones, by orientation.
 _STORED_FROM_UPRIGHT = {
@@ -43,17 +45,20 @@ class ImageHeader:
     Attributes:
         path: the file.
         stored_size: width and height of the stored pixels.
-        mode: Pillow's name of the pixel format.
+        format, mode: Pillow's names of the file format and of the pixel format.
         orientation: the value of the tag, 1 … 8; 1 (nothing to turn) when it is absent or is another number.
         time_s: when it was taken, in seconds by the camera's clock; None when EXIF does not say. EXIF names no time zone, so only
             differences between files of one camera mean something.
+        no_data: the count that marks pixels without a value, as the tag GDAL_NODATA of a TIFF gives it; None when it does not.
     """
 
     path: Path
     stored_size: tuple[int, int]
+    format: str
     mode: str
     orientation: int
     time_s: float | None = None
+    no_data: float | None = None
 
     def size(self, *, upright: bool = True) -> tuple[int, int]:
         """Width and height: of the picture with its orientation applied, or of the stored pixels."""
@@ -105,7 +110,8 @@ def read_header(path: Path) -> ImageHeader:
         RtgsError: the file isn't a readable image.
     """
     with _opened(path) as image:
-        return ImageHeader(path, _stored_size(image), image.mode, _orientation(image), _time_s(image.getexif()))
+        time_s, no_data = _time_s(image.getexif()), _no_data(image)
+        return ImageHeader(path, _stored_size(image), image.format or "", image.mode, _orientation(image), time_s, no_data)
 
 
 @contextmanager
@@ -125,6 +131,14 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 def _stored_size(image: Image.Image) -> tuple[int, int]:
     """Width and height in the file. Pillow's own size is upright for TIFF, and as stored for the other formats."""
     return (image.tag_v2[_TIFF_WIDTH], image.tag_v2[_TIFF_HEIGHT]) if isinstance(image, TiffImageFile) else image.size
+
+
+def _no_data(image: Image.Image) -> float | None:
+    text = image.tag_v2.get(_GDAL_NODATA) if isinstance(image, TiffImageFile) else None
+    try:
+        return float(text.strip(" \0")) if isinstance(text, str) else None
+    except ValueError:
+        return None
 
 
 def _orientation(image: Image.Image) -> int:
@@ -187,13 +201,29 @@ def _check_rgb_mode(path: Path, mode: str) -> None:
 def read_counts(path: Path) -> NDArray[np.generic]:
     """Decode a thermal image upright: `[h, w]`, as stored (8 or 16 bit, 32-bit integer or float).
 
+    The numbers in the file are the counts, also where a TIFF says that its smallest number is shown white.
+
     Raises:
         RtgsError: unreadable or truncated, in colour, or not finite.
     """
     check_counts_mode(read_header(path))
-    counts = np.asarray(_decode(path))
+    counts = _stored_numbers(path, np.asarray(_decode(path)))
     if not np.isfinite(counts).all():
         raise RtgsError(f"{path}: holds NaN or infinite pixels. Export the thermal image again, or remove this pair.")
+    return counts
+
+
+def _stored_numbers(path: Path, counts: NDArray[Any]) -> NDArray[Any]:
+    """What the file holds, where Pillow's pixels are something else."""
+    with _opened(path) as image:
+        if not isinstance(image, TiffImageFile):
+            return counts
+        bits, photometric = image.tag_v2.get(_TIFF_BITS), image.tag_v2.get(_TIFF_PHOTOMETRIC)
+        unsigned = image.tag_v2.get(_TIFF_SAMPLE_FORMAT, (_UNSIGNED,)) == (_UNSIGNED,)
+    if image.mode == "L" and bits == (8,) and photometric == _MIN_IS_WHITE:
+        return 255 - counts  # Pillow inverts these, and no deeper ones
+    if image.mode == "I" and unsigned:
+        return counts.view(np.uint32)  # Pillow has no unsigned 32-bit pixels: large ones come out negative
     return counts
 
 

@@ -97,7 +97,7 @@ class Capture:
         raw_rig: the cameras as calibrated, with their lenses, at the files' resolution: structure from motion reads the files.
         rig: the pinhole cameras of the images in `frames`.
         frames: in name order; all of them, registered or not.
-        rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill.
+        rgb_mask, thermal_mask: `[H, W]`, `[h, w]` bool, pixels that undistortion could fill and that hold a value in every frame.
         radiometry: how the files' counts became the values of `Frame.thermal`, and the unit of those.
         poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
         warnings: sentences for a person, on things that do not stop a run.
