@@ -49,7 +49,7 @@ def test_centikelvin(root: Path) -> None:
 
 
 def use_planck(root: Path, change: Callable[[dict[str, Any]], Any] = lambda thermal: None) -> None:
-    """Thermal files of 30.00, 30.01, … °C, the last row 1 °C warmer, as a camera with Planck constants stores them, and the rig that says so."""
+    """Thermal files of 30.00, 30.01, … °C (last row 1 °C more) as a camera with Planck constants stores them, and the rig that says so."""
     write_rig(root / "rig.json", Rig(RGB, THERMAL, RGB_FROM_THERMAL), PLANCK)
     for i, name in enumerate(NAMES):
         temperature_c = np.full((32, 40), 30.0 + 0.01 * i)
