@@ -72,7 +72,7 @@ def check_thermal_file(path: Path, radiometry: Radiometry) -> ThermalFile:
             f"{path}: all its pixels have the value {values.flat[0]:g}, as when the shutter is closed. Remove this pair."
         )
     low, level, high = (float(x) for x in np.percentile(values, (1, 50, 99)))
-    return ThermalFile(path, hashlib.sha256(np.ascontiguousarray(counts)).digest(), low, level, high, no_data)
+    return ThermalFile(path, hashlib.sha256(counts.tobytes()).digest(), low, level, high, no_data)
 
 
 def check_formats(headers: Sequence[ImageHeader], radiometry: Radiometry) -> None:
