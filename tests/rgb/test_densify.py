@@ -11,7 +11,7 @@ import torch
 
 from rtgs.config import DensifyConfig
 from rtgs.maths.adam import Adam
-from rtgs.renderer.reference import rotation_from_quats
+from rtgs.maths.quaternions import rotations_from_quats
 from rtgs.rgb.densify import ScreenGradients, budget, densify, is_round, target_count
 
 
@@ -48,7 +48,6 @@ def grow(target: int, wanted: list[float], seed: int = 0) -> tuple[Adam, int]:
         target=target,
         extent=1.0,
         generator=torch.Generator().manual_seed(seed),
-        rotation_from_quats=rotation_from_quats,
     )
     return optimizer, n
 
@@ -87,7 +86,7 @@ def test_a_round_prunes_clones_and_splits(target: int, sources: list[int]) -> No
 def test_halves_are_samples_of_their_parent() -> None:
     # In the parent's own axes and sizes the offsets are standard normal.
     before = trained().parameters
-    rotation = rotation_from_quats(before["quats"][2:3])[0]
+    rotation = rotations_from_quats(before["quats"][2:3])[0]
     offsets = torch.stack(
         [grow(7, WANTED, seed)[0].parameters["means"][-2:] - before["means"][2] for seed in range(150)]
     ).reshape(-1, 3)

@@ -10,28 +10,10 @@ from torch import Tensor
 
 from rtgs.maths import sh
 from rtgs.maths.geometry import SE3
+from rtgs.maths.quaternions import rotations_from_quats
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Geometry
 from rtgs.renderer.settings import ALPHA_MAX, COVARIANCE_BLUR_PX2, FRUSTUM_MARGIN, CutOffs, RenderSettings
-
-
-def rotation_from_quats(quats: Tensor) -> Tensor:
-    """`[N, 4]` wxyz of any length → `[N, 3, 3]`."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    return torch.stack(
-        [
-            1 - 2 * (y * y + z * z),
-            2 * (x * y - w * z),
-            2 * (x * z + w * y),
-            2 * (x * y + w * z),
-            1 - 2 * (x * x + z * z),
-            2 * (y * z - w * x),
-            2 * (x * z - w * y),
-            2 * (y * z + w * x),
-            1 - 2 * (x * x + y * y),
-        ],
-        dim=-1,
-    ).reshape(-1, 3, 3)
 
 
 def colors_from_sh(means: Tensor, coefficients: Tensor, camera_centre: Tensor) -> Tensor:
@@ -53,7 +35,7 @@ def project(geometry: Geometry, camera: Camera, camera_from_world: SE3) -> tuple
     slope_y = torch.clamp(y / z, -cy / fy - margin_y, (height - cy) / fy + margin_y)
     zero = torch.zeros_like(z)
     jacobian = torch.stack([fx / z, zero, -fx * slope_x / z, zero, fy / z, -fy * slope_y / z], -1).reshape(-1, 2, 3)
-    factor = jacobian @ camera_from_world.rotation @ (rotation_from_quats(quats) * torch.exp(log_scales)[:, None, :])
+    factor = jacobian @ camera_from_world.rotation @ (rotations_from_quats(quats) * torch.exp(log_scales)[:, None, :])
     return torch.stack([fx * x / z + cx, fy * y / z + cy], -1), factor @ factor.mT, in_camera[:, 2]
 
 

@@ -7,13 +7,12 @@ screen-space gradient are the ones that multiply.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
 from rtgs.config import DensifyConfig
 from rtgs.maths.adam import Adam
+from rtgs.maths.quaternions import rotations_from_quats
 
 
 def budget(config: DensifyConfig, pixels: int, points: int) -> int:
@@ -61,7 +60,6 @@ def densify(
     target: int,
     extent: float,
     generator: torch.Generator,
-    rotation_from_quats: Callable[[Tensor], Tensor],
 ) -> int:
     """One round: prune the faint, multiply the most wanted. Parameters and moments are replaced.
 
@@ -69,6 +67,7 @@ def densify(
         optimizer: of means, quats, log_scales, opacity_logits and any number of per-Gaussian others, `[N, ...]` each.
         target: how many Gaussians there should be afterwards, if enough of them have a gradient.
         extent: the scene's extent, world units.
+        generator: draws where the samples of a split lie.
 
     Returns:
         The new N.
@@ -95,7 +94,7 @@ def densify(
         if n_children:
             scales = new["log_scales"][-n_children:].exp()
             noise = torch.randn(n_children, 3, generator=generator) * scales
-            rotations = rotation_from_quats(new["quats"][-n_children:])
+            rotations = rotations_from_quats(new["quats"][-n_children:])
             new["means"][-n_children:] += (rotations @ noise[..., None])[..., 0]
             new["log_scales"][-n_children:] -= torch.log(torch.tensor(1.6))
         replace(optimizer, new, sources, fresh)

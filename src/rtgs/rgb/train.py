@@ -22,7 +22,6 @@ from rtgs.models import RgbModel
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.scene import Scene
 from rtgs.renderer import render
-from rtgs.renderer.reference import rotation_from_quats
 from rtgs.rgb.densify import ScreenGradients, budget, densify, is_round, target_count
 from rtgs.rgb.images import TrainingImages
 from rtgs.rgb.initial import initial_background, initial_gaussians, starting_points
@@ -159,7 +158,6 @@ class Training:
             target=target_count(self.config.densify, self.initial, self.budget, self.step, self.steps),
             extent=self.scene.extent,
             generator=self.generator,
-            rotation_from_quats=rotation_from_quats,
         )
         self.gradients = ScreenGradients(n)
 
