@@ -18,7 +18,7 @@ from pathlib import Path
 from rtgs.experiments.ablation import ABLATION
 from rtgs.experiments.rivals import OURS
 from rtgs.run.folder import RunFolder
-from scale_splits import halves, seen_by, told
+from scale_splits import halves, in_words, seen_by
 
 
 def main() -> None:
@@ -38,7 +38,7 @@ def main() -> None:
             one, other = (method(seen_by(scene, half), model).sfm_per_metre for half in halves(train, split))
             apart.append(f"{100 * abs(math.log(one / other)):.2f}")
         print(
-            f"| {'nothing' if method is OURS else method.title} | {told(whole)} "
+            f"| {'nothing' if method is OURS else method.title} | {in_words(whole)} "
             f"| {100 * (whole.sfm_per_metre / first.sfm_per_metre - 1):+.2f} | {', '.join(apart)} |",
             flush=True,
         )

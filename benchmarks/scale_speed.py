@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reverse_mode import loss_and_slope_in_reverse
 from rtgs.config import ScaleConfig
 from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.run.folder import RunFolder
@@ -52,7 +53,7 @@ def main() -> None:
         seconds(lambda: descend_by_adam(objective, theta, ScaleConfig(solver="adam", steps=TIMED)), o.repeats) * STEPS / TIMED
     )
     few = range(min(5, len(frames)))
-    reverse = seconds(lambda: [objective.loss_and_slope_in_reverse(i, theta) for i in few], o.repeats)
+    reverse = seconds(lambda: [loss_and_slope_in_reverse(objective, i, theta) for i in few], o.repeats)
     reverse *= STEPS * len(frames) / len(few)
     camera = scene.rig.thermal
     print(f"{len(frames)} frames of {camera.width}×{camera.height}, {len(model.gaussians):,} Gaussians.\n")

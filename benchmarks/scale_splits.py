@@ -42,7 +42,7 @@ def half_width(estimate: ScaleEstimate) -> float:
     return 0.5 * math.log(estimate.ci95[1] / estimate.ci95[0]) if estimate.ci95 else math.inf
 
 
-def told(estimate: ScaleEstimate) -> str:
+def in_words(estimate: ScaleEstimate) -> str:
     return f"{estimate.sfm_per_metre:.5g} ± {100 * half_width(estimate):.2f} %" + (
         "" if estimate.status == "ok" else f" ({estimate.status})"
     )
@@ -58,14 +58,14 @@ def main() -> None:
     scene, model = folder.load_scene(), folder.read_rgb()
     settings = ScaleConfig(refine=tuple(o.refine))
     train = scene.train_frames
-    print(f"All {len(train)} training frames: {told(estimate_scale(scene, model, settings))}.\n", flush=True)
+    print(f"All {len(train)} training frames: {in_words(estimate_scale(scene, model, settings))}.\n", flush=True)
     print("| split | one half | the other | apart | allowed | agree | intervals overlap |\n|---|---|---|---|---|---|---|")
     for split in range(o.splits):
         one, other = (estimate_scale(seen_by(scene, half), model, settings) for half in halves(train, split))
         apart = abs(math.log(one.sfm_per_metre / other.sfm_per_metre))
         allowed, together = math.hypot(half_width(one), half_width(other)), half_width(one) + half_width(other)
         print(
-            f"| {split} | {told(one)} | {told(other)} | {100 * apart:.2f} % | {100 * allowed:.2f} % | "
+            f"| {split} | {in_words(one)} | {in_words(other)} | {100 * apart:.2f} % | {100 * allowed:.2f} % | "
             f"{'yes' if apart <= allowed else 'no'} | {'yes' if apart <= together else 'no'} |",
             flush=True,
         )

@@ -33,7 +33,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from rtgs.config import RgbConfig, RunConfig, SceneName, SfmConfig, SynthConfig, ThermalConfig
+from rtgs.config import DriftKind, RgbConfig, RunConfig, SceneName, SfmConfig, SynthConfig, ThermalConfig
 from rtgs.io.capture import load_capture
 from rtgs.maths import sh
 from rtgs.models import RgbModel, ThermalModel
@@ -48,7 +48,6 @@ from rtgs.synthetic import SCENES, write_capture
 from rtgs.thermal import choices, fit
 from rtgs.thermal.coverage import Coverage, measure_coverage
 from rtgs.thermal.design import Design
-from rtgs.thermal.drift import DriftKind
 from rtgs.thermal.fit import Fit, Fitted
 from rtgs.thermal.frames import ThermalFrames
 from rtgs.thermal.linear import fit_linear

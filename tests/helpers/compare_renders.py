@@ -9,11 +9,12 @@ import torch
 from tests.helpers.gaussian_clouds import POSE, pinhole
 from torch import Tensor
 
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import Render, RenderSettings, reference, render
-from rtgs.renderer.settings import ALPHA_MIN, TRANSMITTANCE_MIN, Backend, CutOffs
+from rtgs.renderer.settings import ALPHA_MIN, TRANSMITTANCE_MIN, CutOffs
 
 # gsplat's backward finds a pixel's transmittance again from 1 − α, rounded to 6e-8 where it may be 1e-4, and its kernels are
 # compiled with fast division, root and exponential. On the CPU `gsplat_kernels` computes them in float64.

@@ -8,8 +8,8 @@ from types import ModuleType
 import pytest
 import torch
 
+from rtgs.config import Backend
 from rtgs.renderer import cuda
-from rtgs.renderer.settings import Backend
 
 CUDA = [
     "cuda in PyTorch",

@@ -16,10 +16,10 @@ from tests.helpers.gaussian_clouds import POSE, cloud, pinhole
 from tests.helpers.gradients import gradient_of
 
 from rtgs.base.errors import RtgsError
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import RenderSettings, check_backend, cuda, render, settings
-from rtgs.renderer.settings import Backend
 
 gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
 

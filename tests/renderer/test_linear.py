@@ -13,10 +13,10 @@ from tests.helpers.gaussian_clouds import POSE, cloud, pinhole
 from tests.helpers.gradients import gradient_of
 
 from rtgs.base.errors import RtgsError
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3
 from rtgs.maths.sh import C0
 from rtgs.renderer import LinearRender, LinearViews, RenderSettings, render
-from rtgs.renderer.settings import Backend
 
 BACKENDS = ["cpu", "reference"]
 

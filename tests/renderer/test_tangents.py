@@ -10,10 +10,10 @@ from tests.helpers.compare_renders import assert_close
 from tests.helpers.gaussian_clouds import POSE, cloud, degenerate, identity, joined, pinhole
 
 from rtgs.base.errors import RtgsError
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import Direction, RenderSettings, render, render_with_tangents
-from rtgs.renderer.settings import Backend
 
 EVERY_WAY = [
     Direction((1.0, 0.0, 0.0)),

@@ -15,9 +15,9 @@ from tests.helpers.gaussian_clouds import POSE, cloud, pinhole
 from tests.helpers.gradients import gradient_of
 
 from rtgs.base.errors import RtgsError
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3
 from rtgs.renderer import RenderSettings, render
-from rtgs.renderer.settings import Backend
 
 
 def test_gradients_reach_only_what_asks_for_them() -> None:

@@ -9,8 +9,8 @@ import torch
 from tests.helpers.compare_renders import assert_backends_agree, draw, value_and_gradients
 from tests.helpers.gaussian_clouds import INVISIBLE, POSE, VISIBLE, cloud, degenerate, identity, joined, pinhole
 
+from rtgs.config import Backend
 from rtgs.renderer import RenderSettings
-from rtgs.renderer.settings import Backend
 
 
 @pytest.mark.parametrize("antialiased", [False, True])

@@ -11,12 +11,12 @@ import torch
 from tests.helpers.compare_renders import LAW_TOLERANCE, assert_close, assert_same_picture, draw, home, value_and_gradients
 from tests.helpers.gaussian_clouds import POSE, cloud, gray_blob, identity, joined, pinhole
 
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3, quat_from_rotation, rotation_from_axis_angle, rotation_from_quat
 from rtgs.maths.sh import C0, coefficients
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import RenderSettings, render
-from rtgs.renderer.settings import Backend
 
 
 @pytest.mark.parametrize("with_depth", [False, True])

@@ -6,7 +6,7 @@ import numpy as np
 from tests.helpers.scale_scenes import objective, synthetic
 
 from rtgs.scale.curves import LocalCurves, Window, hermite, widened
-from rtgs.scale.objective import Evaluation
+from rtgs.scale.objective import FrameLoss
 from rtgs.scale.progress import RenderProgress
 
 
@@ -20,9 +20,9 @@ def test_cubics_are_read_exactly_between_their_nodes() -> None:
 class Flat:
     """An objective that says nothing."""
 
-    def evaluate(self, index: int, theta: float) -> Evaluation:
+    def evaluate(self, index: int, theta: float) -> FrameLoss:
         assert abs(theta) < 50, "so far out nothing is to be looked for"
-        return Evaluation(1.0, 0.0, 1.0)
+        return FrameLoss(1.0, 0.0, 1.0)
 
 
 def test_a_loss_that_says_nothing_is_not_followed_for_ever() -> None:
@@ -32,11 +32,11 @@ def test_a_loss_that_says_nothing_is_not_followed_for_ever() -> None:
 
 def test_curves_are_extended_by_what_is_missing() -> None:
     scene, model = synthetic()
-    none, told = LocalCurves(objective(scene, model, 0.05)), list[str]()
-    progress = RenderProgress(lambda done, total, text: told.append(text))
+    none, lines = LocalCurves(objective(scene, model, 0.05)), list[str]()
+    progress = RenderProgress(lambda done, total, text: lines.append(text))
     first = none.extended(progress, frames=[1], thetas=[0.1, -0.1])
     both = first.extended(progress, frames=[0], thetas=[0.0])
-    assert none.renders == 0 and first.renders == 2 and both.renders == len(told) == 6
+    assert none.renders == 0 and first.renders == 2 and both.renders == len(lines) == 6
     assert both.frames == (0, 1) and both.thetas == (-0.1, 0.0, 0.1) and both.values().shape == (2, 3)
     assert both.evaluations[1, 0.1] == first.evaluations[1, 0.1] == none.objective.evaluate(1, 0.1)
     assert both.scan().loss == tuple(both.values().mean(axis=0))

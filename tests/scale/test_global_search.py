@@ -18,8 +18,8 @@ from rtgs.records.camera import Camera
 from rtgs.records.rig import Rig
 from rtgs.renderer import RenderSettings
 from rtgs.scale import Comparison, Objective, estimate_scale
-from rtgs.scale.pictures import halvings
 from rtgs.scale.resampling import curve_minimum
+from rtgs.scale.thermal_targets import halvings
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtgs.scale.posterior import covariance, noise
+from rtgs.scale.posterior import covariance, gradient_covariance
 
 
 def test_the_covariance_is_that_of_repeated_experiments() -> None:
@@ -21,8 +21,8 @@ def test_the_covariance_is_that_of_repeated_experiments() -> None:
 
 def test_noise_of_the_mean_gradient() -> None:
     rng = np.random.default_rng(1)
-    alone = [noise(rng.normal(size=(500, 2)) * [1.0, 3.0]) * 500 for _ in range(40)]
+    alone = [gradient_covariance(rng.normal(size=(500, 2)) * [1.0, 3.0]) * 500 for _ in range(40)]
     np.testing.assert_allclose(np.mean(alone, axis=0), np.diag([1.0, 9.0]), atol=0.4)
-    runs = [noise(np.repeat(rng.normal(size=(250, 2)), 2, axis=0)) * 250 for _ in range(40)]  # neighbours err alike
+    runs = [gradient_covariance(np.repeat(rng.normal(size=(250, 2)), 2, axis=0)) * 250 for _ in range(40)]  # neighbours err alike
     np.testing.assert_allclose(np.mean(runs, axis=0), np.eye(2), atol=0.15)
-    assert (np.linalg.eigvalsh(noise(rng.normal(size=(5, 8)))) > -1e-12).all()  # fewer frames than unknowns
+    assert (np.linalg.eigvalsh(gradient_covariance(rng.normal(size=(5, 8)))) > -1e-12).all()  # fewer frames than unknowns

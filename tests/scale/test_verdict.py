@@ -14,7 +14,7 @@ from rtgs.scale.curves import LocalCurves
 from rtgs.scale.interval import Interval
 from rtgs.scale.problem import Found
 from rtgs.scale.records import History, Minimum
-from rtgs.scale.verdict import Verdict, judge, outside
+from rtgs.scale.verdict import Verdict, outside, verdict_of
 
 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
@@ -48,24 +48,24 @@ SURE = Interval(0.01, (0.98, 1.02), None)
 
 def test_the_first_reason_decides() -> None:
     wide = Interval(0.3, (0.5, 2.0), None)
-    assert judge(found(), SURE) == Verdict("ok", "")
+    assert verdict_of(found(), SURE) == Verdict("ok", "")
     everything = found(closed=False, doubt="below the bracket", chances=(0.5,))
-    assert judge(everything, wide) == Verdict("unobservable", "below the bracket")
-    flat = judge(replace(everything, doubt=""), wide)
+    assert verdict_of(everything, wide) == Verdict("unobservable", "below the bracket")
+    flat = verdict_of(replace(everything, doubt=""), wide)
     assert flat.status == "unobservable" and "flat: between 0.9048 and 1.105 SfM" in flat.reason
-    left_open = judge(found(chances=(0.5,)), wide)
+    left_open = verdict_of(found(chances=(0.5,)), wide)
     assert left_open.status == "unobservable" and "by a factor of 1.8 to either side" in left_open.reason
-    assert judge(found(), Interval(0.5 / 1.96, (0.6, 1.6), None)).status == "ok"
+    assert verdict_of(found(), Interval(0.5 / 1.96, (0.6, 1.6), None)).status == "ok"
 
 
 def test_minima_are_rivals_from_a_fortieth_of_the_resamples_on() -> None:
-    assert judge(found(chances=(0.025, 0.0)), SURE).status == "ok"
-    verdict = judge(found(chances=(0.4, 0.025, 0.03)), SURE)
+    assert verdict_of(found(chances=(0.025, 0.0)), SURE).status == "ok"
+    verdict = verdict_of(found(chances=(0.4, 0.025, 0.03)), SURE)
     assert verdict.status == "ambiguous" and "as well at 2 and 4 SfM" in verdict.reason
 
 
 def test_a_single_frame_is_not_asked_for_its_curves() -> None:
-    assert judge(found(closed=False), Interval(None, None, None)) == Verdict("ok", "")
+    assert verdict_of(found(closed=False), Interval(None, None, None)) == Verdict("ok", "")
 
 
 def test_answers_outside_of_the_bracket() -> None:

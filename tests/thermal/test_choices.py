@@ -11,10 +11,10 @@ import pytest
 import torch
 from tests.helpers.thermal_scenes import SFM_PER_METRE, changed, fit_of, ring
 
+from rtgs.config import DriftKind
 from rtgs.thermal import fit_thermal, training_range
 from rtgs.thermal.candidates import first_solve
 from rtgs.thermal.choices import choose_drift, choose_gains, choose_pattern, choose_ridge, choose_rows
-from rtgs.thermal.drift import DriftKind
 from rtgs.thermal.fit import Fitted
 from rtgs.thermal.frames import ThermalFrames
 from rtgs.thermal.settings import LinearSettings

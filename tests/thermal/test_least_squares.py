@@ -10,10 +10,11 @@ import pytest
 import torch
 from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, changed, fit_of, known, model_of, ring, with_thermal
 
+from rtgs.config import DriftKind
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.scene import Scene
 from rtgs.thermal import gaussian_temperatures
-from rtgs.thermal.drift import Drift, DriftKind
+from rtgs.thermal.drift import Drift
 from rtgs.thermal.fit import Fit
 from rtgs.thermal.least_squares import solve
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from tests.helpers.thermal_scenes import fit_of, ring
 
+from rtgs.config import DriftKind
 from rtgs.records.capture import Split
-from rtgs.thermal.drift import DriftKind
 from rtgs.thermal.validation import EarlyStopping, Validation, is_clearly_less
 
 

@@ -10,12 +10,12 @@ from rtgs.config.experiments import (
     SyntheticExperimentConfig,
     SyntheticTable,
 )
-from rtgs.config.rgb import QUALITIES, DensifyConfig, Quality, RgbConfig
+from rtgs.config.rgb import QUALITIES, Backend, DensifyConfig, Quality, RgbConfig
 from rtgs.config.run import RunConfig
 from rtgs.config.scale import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, REFINABLE, ScaleConfig
 from rtgs.config.sfm import SfmConfig
 from rtgs.config.synthetic import SCENES, SceneName, SynthConfig
-from rtgs.config.thermal import ThermalConfig
+from rtgs.config.thermal import DriftKind, DriftSetting, ThermalConfig
 
 __all__ = [
     "PAPER_EPSILON",
@@ -24,7 +24,10 @@ __all__ = [
     "REFINABLE",
     "SCENES",
     "SYNTHETIC_TABLES",
+    "Backend",
     "DensifyConfig",
+    "DriftKind",
+    "DriftSetting",
     "ManualConfig",
     "Quality",
     "RealExperimentConfig",

@@ -9,6 +9,8 @@ from rtgs.base.errors import RtgsError
 
 Quality = Literal["fast", "default", "best"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
+Backend = Literal["cpu", "cuda", "reference"]
+BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class RgbConfig:
     """Fit a gain and an offset per training frame and channel (not used for held-out frames)."""
     random_points: int = 20_000
     """How many random points to start from when the scene has no sparse points."""
-    backend: Literal["cpu", "cuda", "reference"] = "cpu"
+    backend: Backend = "cpu"
     """What renders the model, here and in all later stages: "cpu" (Numba), "cuda" (gsplat on an NVIDIA GPU) or "reference" (PyTorch,
     slow). Tangents and the thermal solver's linear map have no GPU version and stay on the CPU."""
     seed: int = 0
@@ -74,8 +76,8 @@ class RgbConfig:
     def __post_init__(self) -> None:
         if self.quality not in QUALITIES:
             raise RtgsError(f"rgb.quality is {self.quality!r}; it is {', '.join(QUALITIES)}.")
-        if self.backend not in ("cpu", "cuda", "reference"):
-            raise RtgsError(f"rgb.backend is {self.backend!r}; it is cpu, cuda or reference.")
+        if self.backend not in BACKENDS:
+            raise RtgsError(f"rgb.backend is {self.backend!r}; it is {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}.")
         if self.steps is not None and self.steps < 1:
             raise RtgsError(f"rgb.steps is {self.steps}; it is above 0.")
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+DriftKind = Literal["off", "offset", "gain-offset"]
+DriftSetting = Literal["auto", DriftKind]
+
 
 @dataclass(frozen=True)
 class ThermalConfig:
@@ -12,7 +15,7 @@ class ThermalConfig:
 
     solver: Literal["linear", "adam"] = "linear"
     """"linear": least squares by conjugate gradients. "adam": the paper's solver; the settings after `sh_degree` are for it alone."""
-    drift: Literal["auto", "off", "offset", "gain-offset"] = "auto"
+    drift: DriftSetting = "auto"
     """Drift of each photograph (linear solver): an offset, or a gain and an offset. "auto" decides it on validation frames, which are
     training frames that are left out of the fit meanwhile."""
     sh_degree: int = 1

@@ -13,12 +13,11 @@ outside this folder imports a back end.
 from __future__ import annotations
 
 from rtgs.renderer.linear import LinearRender, LinearViews
-from rtgs.renderer.settings import Backend, Render, RenderSettings
+from rtgs.renderer.settings import Render, RenderSettings
 from rtgs.renderer.tangents import Direction, Tangents, render_with_tangents
 from rtgs.renderer.view import check_backend, render
 
 __all__ = [
-    "Backend",
     "Direction",
     "LinearRender",
     "LinearViews",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from torch import Tensor
+
+from rtgs.config import Backend
 
 # The compositing rules of 3DGS as gsplat states them. They are discontinuities: derivatives hold on either side of them.
 ALPHA_MIN = 1.0 / 255.0  # a Gaussian fainter than this at a pixel does not count there
@@ -13,8 +14,6 @@ ALPHA_MAX = 0.999  # nothing is fully opaque, so that the backward pass can divi
 TRANSMITTANCE_MIN = 1e-4  # a pixel that lets through less than this is finished
 COVARIANCE_BLUR_PX2 = 0.3  # added to the projected covariance: at least half a pixel wide
 FRUSTUM_MARGIN = 0.3  # the affine projection is linearised no further out than this share of tan(½ field of view)
-
-Backend = Literal["cpu", "cuda", "reference"]
 
 
 @dataclass(frozen=True)

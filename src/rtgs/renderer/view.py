@@ -8,12 +8,13 @@ import torch
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
+from rtgs.config import Backend
 from rtgs.maths.geometry import SE3
 from rtgs.maths.sh import coefficients
 from rtgs.records.camera import Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import cpu, cuda, reference
-from rtgs.renderer.settings import Backend, Render, RenderSettings
+from rtgs.renderer.settings import Render, RenderSettings
 
 
 def render(

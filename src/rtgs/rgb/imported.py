@@ -7,9 +7,9 @@ from pathlib import Path
 import torch
 
 from rtgs.base.errors import RtgsError
+from rtgs.config import Backend
 from rtgs.io.ply import read_ply
 from rtgs.models import RgbModel
-from rtgs.renderer import Backend
 from rtgs.rgb.settings import render_settings
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rtgs.renderer import Backend, RenderSettings, check_backend
+from rtgs.config import Backend
+from rtgs.renderer import RenderSettings, check_backend
 
 NEAR_FRACTION = 0.01  # near plane as a share of the scene's extent, so that any SfM unit gives the same picture
 

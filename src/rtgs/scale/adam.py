@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,6 +15,7 @@ from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.scale.curves import LocalCurves, Window, widened
 from rtgs.scale.objective import Objective
 from rtgs.scale.problem import Found, Problem
+from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import History, Scan, Step
 from rtgs.scale.scan import losses_over
 from rtgs.scale.verdict import at_an_end, outside
@@ -31,7 +32,7 @@ class Descendable(Protocol):
 
 @dataclass(frozen=True)
 class AdamPath:
-    """Where Adam went: θ after the last step, its steps, and how many losses with their slopes it took."""
+    """Where Adam went: θ after the last step, its steps, and how many losses with their slopes that took."""
 
     theta: float
     history: History
@@ -39,12 +40,12 @@ class AdamPath:
 
 
 def descend_by_adam(
-    objective: Descendable, theta: float, config: ScaleConfig, told: Callable[[str], None] | None = None
+    objective: Descendable, theta: float, config: ScaleConfig, progress: RenderProgress | None = None
 ) -> AdamPath:
     """`ScaleConfig.steps` steps of Adam from θ, each over all frames or a random mini-batch (`ScaleConfig.batch`).
 
     Args:
-        told: called with a line of text for every evaluation.
+        progress: counts one picture for every evaluation.
     """
     parameter = torch.tensor(theta, dtype=torch.float64, requires_grad=True)
     optimizer = torch.optim.Adam([parameter], lr=config.learning_rate)
@@ -56,8 +57,8 @@ def descend_by_adam(
         at, found = parameter.item(), []
         for i in range(n) if batch == n else torch.randperm(n, generator=generator)[:batch].tolist():
             found.append(objective.loss_and_slope(i, at))
-            if told is not None:
-                told(f"s = {math.exp(at):.5g}")
+            if progress is not None:
+                progress(f"s = {math.exp(at):.5g}")
         loss, slope = (float(np.mean(values)) for values in zip(*found, strict=True))
         steps.append(Step(at, loss, slope))
         parameter.grad = torch.tensor(slope, dtype=torch.float64)

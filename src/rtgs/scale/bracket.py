@@ -21,7 +21,7 @@ from rtgs.renderer import render
 
 _FRAMES = 12  # enough for a percentile
 _WIDTH = 160
-_LOWEST_PX = 0.5  # of flow, at the lower end
+LOWEST_PX = 0.5  # of flow, at the lower end
 
 
 class Bracket(NamedTuple):
@@ -36,11 +36,11 @@ class Bracket(NamedTuple):
 
     def flow_px(self, theta: float) -> float:
         """The flow at θ = ln `sfm_per_metre`."""
-        return _LOWEST_PX / self.lower * math.exp(theta)
+        return LOWEST_PX / self.lower * math.exp(theta)
 
-    def pixel(self, theta: float) -> float:
-        """The change of θ that moves the picture by one pixel."""
-        return self.lower / _LOWEST_PX / math.exp(theta)
+    def pixel(self, theta: float, pixels: float = 1.0) -> float:
+        """The change of θ that moves the picture by one pixel, or by so many."""
+        return pixels * self.lower / LOWEST_PX / math.exp(theta)
 
     def __str__(self) -> str:
         return f"{self.lower:.4g} to {self.upper:.4g} SfM units per metre"
@@ -64,7 +64,7 @@ def bracket_of(flow: NDArray[np.float64], width: int) -> Bracket:
     fast = float(np.percentile(flow, 90))
     if not fast > 0:
         raise RtgsError("scale: the picture does not change with the scale; the rig's baseline is zero.")
-    return Bracket(_LOWEST_PX / fast, 0.5 * width / fast)
+    return Bracket(LOWEST_PX / fast, 0.5 * width / fast)
 
 
 def flow_per_unit(scene: Scene, model: RgbModel) -> NDArray[np.float64]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from rtgs.scale.bracket import Bracket
 from rtgs.scale.objective import Objective
-from rtgs.scale.pictures import EPSILON_FRAMES, Pictures, some_of
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.resampling import UNLIKELY, significance
 from rtgs.scale.scan import losses_over
+from rtgs.scale.thermal_targets import EPSILON_FRAMES, Pictures, some_of
 
 _BLURS = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.3, 16.0)  # pixels
 _AROUND = (-4.0, -2.0, 0.0, 2.0, 4.0)  # coarse pixels of flow from the answer

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.scale.objective import Evaluation, Objective
+from rtgs.scale.objective import FrameLoss, Objective
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import Scan
 from rtgs.scale.resampling import block_length, curve_minimum, resampled_minima
@@ -33,7 +33,7 @@ class LocalCurves:
     objective: Objective
     frames: tuple[int, ...] = ()
     thetas: tuple[float, ...] = ()
-    evaluations: Mapping[tuple[int, float], Evaluation] = field(default_factory=dict)
+    evaluations: Mapping[tuple[int, float], FrameLoss] = field(default_factory=dict)
 
     def extended(self, progress: RenderProgress, *, frames: Iterable[int] = (), thetas: Sequence[float] = ()) -> LocalCurves:
         """The curves of all these frames and those from before, at all these θ and those from before. Renders what is missing."""
@@ -86,7 +86,7 @@ def hermite(
     return values[:, k] * start + values[:, k + 1] * end + slopes[:, k] * rise + slopes[:, k + 1] * fall
 
 
-def window(slopes: NDArray[np.float64], curvature: float, pixel: float) -> float:
+def first_half_width(slopes: NDArray[np.float64], curvature: float, pixel: float) -> float:
     """Half-width in θ of the first curves: five standard errors of the minimum by the sandwich rule, 0.1 to 3 px of flow.
 
     Args:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.scale.objective import Evaluation
+from rtgs.scale.objective import FrameLoss
+from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import Step
 
 _MOST_STEPS = 12
@@ -19,7 +20,7 @@ _MOST_STEPS = 12
 class Evaluable(Protocol):
     """Per-frame losses with slope and curvature by θ, such as `Objective`."""
 
-    def evaluate(self, index: int, theta: float) -> Evaluation: ...
+    def evaluate(self, index: int, theta: float) -> FrameLoss: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +61,18 @@ def descend(
     *,
     pixel: float,
     tolerance: float,
-    told: Callable[[str], None] | None = None,
+    progress: RenderProgress | None = None,
 ) -> Descent:
     """Go down the mean loss of some frames from θ.
 
     The first step is Gauss–Newton's, but no shorter than half a pixel. Its curvature is that of the residuals alone, which is far too
-    large where the two modalities disagree (a hundredfold on a noisy sensor): the step would be nothing and pass for arrival. From the
-    second step on the change of the slopes takes its place. A step is taken only where it lowers the loss (Eq. 7 of the pictures
-    compared). Otherwise it is cut to where the two slopes put the minimum, or to half its length.
+    large where the two modalities disagree (a hundredfold on a noisy sensor): the step would be tiny, and the descent would end far
+    from the minimum. From the second step on the change of the slopes takes its place. A step is taken only where it lowers the loss
+    (Eq. 7 of the pictures compared). Otherwise it is cut to where the two slopes put the minimum, or to half its length.
 
     Args:
         pixel: change of θ that moves the picture by a pixel, the longest step. tolerance: a step shorter than this is the last.
-        told: called with a line of text for every picture.
+        progress: counts the pictures.
     """
     steps: list[Step] = []
 
@@ -79,8 +80,8 @@ def descend(
         found = []
         for i in indices:
             found.append(objective.evaluate(i, at))
-            if told is not None:
-                told(f"s = {math.exp(at):.5g}")
+            if progress is not None:
+                progress(f"s = {math.exp(at):.5g}")
         losses, slopes, curvatures = (np.array([getattr(e, k) for e in found]) for k in ("loss", "slope", "curvature"))
         place = Place(at, losses, slopes, float(curvatures.mean()))
         steps.append(Step(at, place.loss, place.slope))
@@ -101,7 +102,7 @@ def descend(
         if there.loss >= here.loss:
             break
         here = there
-        # Concave ground has its minimum further on: go as far as allowed.
+        # Where the loss is concave the minimum lies further away: take the longest step.
         curvature = change if change > 0 else abs(here.slope) / pixel
         if abs(step) <= tolerance or here.slope == 0.0:
             break

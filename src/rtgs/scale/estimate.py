@@ -15,7 +15,7 @@ from rtgs.scale.problem import Problem
 from rtgs.scale.records import ScaleEstimate
 from rtgs.scale.refine import check_refinable, refine
 from rtgs.scale.solvers import SOLVERS
-from rtgs.scale.verdict import judge
+from rtgs.scale.verdict import verdict_of
 
 
 def estimate_scale(
@@ -44,7 +44,7 @@ def estimate_scale(
     check_refinable(scene, problem.frames, config.refine)
     found = SOLVERS[config.solver].solve(problem)
     interval = find_interval(problem, found)
-    verdict = judge(found, interval)
+    verdict = verdict_of(found, interval)
     if verdict.status == "unobservable" and not found.keeps_interval:
         # Where the images do not decide, a scatter about some place would look like knowledge.
         interval = replace(interval, std_log=None, ci95=None)

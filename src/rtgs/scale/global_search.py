@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 from rtgs.scale.bracket import information
 from rtgs.scale.checks import better_than_none, disagreeing, softness
-from rtgs.scale.curves import LocalCurves, Window, settled, widened, window
+from rtgs.scale.curves import LocalCurves, Window, first_half_width, settled, widened
 from rtgs.scale.descend import Place
 from rtgs.scale.interval import resampled_interval
-from rtgs.scale.minima import CoarseToFine, rivals
+from rtgs.scale.minima import CoarseToFine, other_minima
 from rtgs.scale.objective import Objective
-from rtgs.scale.pictures import EPSILON_FRAMES, Pictures, halvings
 from rtgs.scale.problem import Found, Problem
 from rtgs.scale.records import History, Scan, Step
 from rtgs.scale.scan import local_minima, losses_over, scan_thetas
+from rtgs.scale.thermal_targets import EPSILON_FRAMES, Pictures, halvings
 from rtgs.scale.verdict import at_an_end, no_better_than_none, outside
 
 
@@ -53,11 +53,7 @@ class GlobalSearch:
     first_frames: int = 16
 
     def solve(self, problem: Problem) -> Found:
-        """Scan, descend from the minima of the scan, blur where the lens is soft, settle on the curves' minimum, and check it.
-
-        Raises:
-            RtgsError: the "cuda" back end, which has no forward mode.
-        """
+        """Scan, descend from the minima of the scan, blur where the lens is soft, settle on the curves' minimum, and check it."""
         frames, bracket, progress, seed = problem.frames, problem.bracket, problem.progress, problem.config.seed
         progress.plan(EPSILON_FRAMES)
         pictures = Pictures.of(problem)
@@ -92,7 +88,7 @@ class GlobalSearch:
             renders=pictures.renders + scanned.renders + refined.renders + softened.renders + curves.renders + check_renders,
             doubt=doubt,
             scan=scanned.scan,
-            minima=rivals(refined.minima, seed),
+            minima=other_minima(refined.minima, seed),
             disagreeing=apart,
             blur_px=pictures.blur_px,
         )
@@ -138,7 +134,7 @@ class GlobalSearch:
         """
         progress, seed = problem.progress, problem.config.seed
         pixel = problem.bracket.pixel(best.theta)
-        start = Window(best.theta, window(best.slopes, best.curvature, pixel), pixel)
+        start = Window(best.theta, first_half_width(best.slopes, best.curvature, pixel), pixel)
         curves, count = LocalCurves(objective), self.first_frames
         while True:
             curves, closed = widened(curves, ranked[:count], start, seed, progress)

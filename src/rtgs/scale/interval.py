@@ -43,7 +43,7 @@ def find_interval(problem: Problem, found: Found) -> Interval:
     calibration = calibration_std_log(curves.objective, found.theta, curves.frames)
     if len(curves.frames) < 2:
         return Interval(None, None, calibration)
-    model = min(model_pixels(found.blur_px) * 2 * problem.bracket.lower / math.exp(found.theta), 2 * WIDEST)
+    model = min(problem.bracket.pixel(found.theta, model_pixels(found.blur_px)), 2 * WIDEST)
     common = math.hypot(model, calibration or 0.0)
     return Interval(*resampled_interval(*curves.dense(), found.theta, common, problem.config.seed), calibration)
 

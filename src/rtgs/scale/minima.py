@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rtgs.scale.bracket import Bracket
 from rtgs.scale.descend import Descent, Place, descend
-from rtgs.scale.pictures import Pictures
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import Minimum, Step
 from rtgs.scale.resampling import UNLIKELY, significance
+from rtgs.scale.thermal_targets import Pictures
 
 _RESAMPLES = 1000
 
@@ -87,7 +87,7 @@ class CoarseToFine:
         pixel = min(self._pixel(theta, halved), 0.5)
         tolerance = (0.05 if halved else 0.01) * pixel
         objective = self.pictures.objective(halved)
-        return descend(objective, self.frames, theta, pixel=pixel, tolerance=tolerance, told=self.progress)
+        return descend(objective, self.frames, theta, pixel=pixel, tolerance=tolerance, progress=self.progress)
 
     def _sorted_out(self, places: Sequence[tuple[float, Place]], halved: int) -> tuple[list[Refined], list[Refined]]:
         """Starts and places, into those to go on with, best first, and those clearly worse. Two within a pixel are one."""
@@ -105,7 +105,7 @@ class CoarseToFine:
         return 2**halved / self.bracket.flow_px(theta)
 
 
-def rivals(minima: Sequence[Refined], seed: int) -> tuple[Minimum, ...]:
+def other_minima(minima: Sequence[Refined], seed: int) -> tuple[Minimum, ...]:
     """The minima that are not the best, as they are reported: in how many resamples of the frames each is better than the best."""
     rng, found = np.random.default_rng(seed), list[Minimum]()
     for other in minima[1:]:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rtgs.records.scene import Scene
 from rtgs.scale.objective import Objective
-from rtgs.scale.pictures import Pictures, halvings, some_of
-from rtgs.scale.posterior import best_weight, bias, covariance, noise, positive
+from rtgs.scale.posterior import best_weight, bias, covariance, gradient_covariance, positive
 from rtgs.scale.rig_loss import Point, RigLoss, Vector
+from rtgs.scale.thermal_targets import Pictures, halvings, some_of
 
 _HESSIAN_PIXELS = 0.5
 _HESSIAN_FRAMES = 16
@@ -24,7 +24,7 @@ _TOLERANCE = 0.02  # pixels of the size compared
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class JointSolution:
     """Where the joint descent ended.
 
     Attributes:
@@ -59,7 +59,7 @@ class _Merit:
     pixels: Vector
 
     def at(self, point: Point) -> float:
-        """F."""
+        """F at a point."""
         return float(point.losses.mean()) + self.weight / 2 * float(point.x[1:] @ point.x[1:])
 
     def step(self, here: Point) -> Vector:
@@ -96,7 +96,7 @@ class _Merit:
         return here, evaluations
 
 
-def solve_jointly(loss: RigLoss, pictures: Pictures, theta: float, free: NDArray[np.bool_]) -> Solution:
+def solve_jointly(loss: RigLoss, pictures: Pictures, theta: float, free: NDArray[np.bool_]) -> JointSolution:
     """Descend F(x) = L(x) + w/2 · uᵀu by Newton's steps from (θ, 0), coarse to fine.
 
     Args:
@@ -119,7 +119,7 @@ def solve_jointly(loss: RigLoss, pictures: Pictures, theta: float, free: NDArray
             began = x
             hessian = loss.hessian(objective, few, x, np.minimum(_HESSIAN_PIXELS * coarse_pixel / pixels, 1.0))
             curved = positive(hessian[np.ix_(free, free)], here.gauss_newton[np.ix_(free, free)])
-            scatter = noise(here.gradients[:, free]) + bias(curved, pixels[free], pictures.blur_px)
+            scatter = gradient_covariance(here.gradients[:, free]) + bias(curved, pixels[free], pictures.blur_px)
             weight = best_weight(curved, scatter, prior)
             merit = _Merit(loss, objective, indices, free, curved + weight * prior, weight, pixels / coarse_pixel)
             here, evaluations = merit.descend(here)
@@ -128,7 +128,7 @@ def solve_jointly(loss: RigLoss, pictures: Pictures, theta: float, free: NDArray
             if np.abs((x - began) * pixels).max() < _HESSIAN_PIXELS * coarse_pixel:
                 break
     response = np.asarray(-np.linalg.solve(curved + weight * prior, hessian[np.ix_(free, ~free)]), dtype=np.float64)
-    return Solution(x, covariance(curved, scatter, prior, weight), response, pixels, renders)
+    return JointSolution(x, covariance(curved, scatter, prior, weight), response, pixels, renders)
 
 
 def _coarsest(scene: Scene, pixels: Vector, free: NDArray[np.bool_]) -> int:

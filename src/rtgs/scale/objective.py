@@ -27,7 +27,7 @@ _INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class FrameLoss:
     """One frame's loss at a scale, its derivative by θ, and the Gauss–Newton curvature 2·JᵀJ of the same residuals."""
 
     loss: float
@@ -39,7 +39,7 @@ class Evaluation:
 class Objective:
     """Per-frame losses of a frozen RGB model against the thermal images, as a function of θ = ln sfm_per_metre.
 
-    Nothing here changes once it is made; targets are prepared when a frame is first asked for, and kept.
+    The target of a frame is prepared when it is first asked for, and kept. Apart from that, an objective never changes.
 
     Attributes:
         scene: rig, poses and thermal images. model: the RGB model.
@@ -57,7 +57,7 @@ class Objective:
     reduction: int = 1
     thermal: Mapping[str, NDArray[np.float32]] | None = None
     masks: Mapping[str, NDArray[np.bool_]] | None = None
-    _readable: dict[int, NgfPyramid] = field(init=False, repr=False, default_factory=dict)  # filled by `_readable_target` alone
+    _readable: dict[int, NgfPyramid] = field(init=False, repr=False, default_factory=dict)  # filled by `readable_target` alone
     _fused: dict[int, FusedNgf] = field(init=False, repr=False, default_factory=dict)  # filled by `_target` alone
 
     def loss(self, index: int, theta: float) -> float:
@@ -74,29 +74,14 @@ class Objective:
         return np.array(losses)
 
     def loss_and_slope(self, index: int, theta: float) -> tuple[float, float]:
-        """Eq. 7 for one frame and its derivative by θ: in forward mode where the renderer's back end has it."""
-        if self.model.settings.backend == "cuda":
-            return self.loss_and_slope_in_reverse(index, theta)
+        """Eq. 7 for one frame and its derivative by θ: in forward mode."""
         result = self.evaluate(index, theta)
         return result.loss, result.slope
 
-    def loss_and_slope_in_reverse(self, index: int, theta: float) -> tuple[float, float]:
-        """The same two numbers through autograd, the renderer and the pose."""
-        t = torch.tensor(theta, dtype=torch.float64, requires_grad=True)
-        loss = self._readable_target(index).to(self._dtype)(self.gray(index, t))
-        if not loss.requires_grad:
-            return loss.item(), 0.0
-        loss.backward()
-        return loss.item(), t.grad.item() if t.grad is not None else 0.0
-
-    def evaluate(self, index: int, theta: float) -> Evaluation:
-        """Loss, slope and Gauss–Newton curvature from one picture and its tangent.
-
-        Raises:
-            RtgsError: the "cuda" back end, which has no forward mode.
-        """
+    def evaluate(self, index: int, theta: float) -> FrameLoss:
+        """Loss, slope and Gauss–Newton curvature from one picture and its tangent."""
         found = self._target(index).products(*self._along_scale(index, theta))
-        return Evaluation(found.loss, float(found.slope[0]), float(found.curvature[0, 0]))
+        return FrameLoss(found.loss, float(found.slope[0]), float(found.curvature[0, 0]))
 
     def products(self, index: int, camera: Camera, camera_from_world: SE3, directions: Sequence[Direction]) -> Products:
         """Eq. 7 for one frame seen by another thermal camera (given at full size) from another place, and its derivatives.
@@ -105,7 +90,7 @@ class Objective:
             directions: ways for that camera to change, at full size; one derivative each.
 
         Raises:
-            RtgsError: no direction or more than eight; the "cuda" back end, which has no forward mode.
+            RtgsError: no direction or more than eight.
         """
         small = [replace(d, **{k: getattr(d, k) / self.reduction for k in _INTRINSICS}) for d in directions]
         pose = camera_from_world.to_torch(torch.float64)
@@ -133,12 +118,13 @@ class Objective:
 
     def _target(self, index: int) -> EdgeTarget:
         if not self._compiled:
-            return self._readable_target(index)
+            return self.readable_target(index)
         if index not in self._fused:
-            self._fused[index] = FusedNgf.of(self._readable_target(index))
+            self._fused[index] = FusedNgf.of(self.readable_target(index))
         return self._fused[index]
 
-    def _readable_target(self, index: int) -> NgfPyramid:
+    def readable_target(self, index: int) -> NgfPyramid:
+        """Eq. 7 against one frame's thermal image in PyTorch, which autograd can differentiate."""
         if index not in self._readable:
             frame, valid = self.frames[index], self.scene.capture.thermal_mask
             # In float64, 1 − ‖n‖² is exact for the fused kernels; without them the loss computes in the model's own type.

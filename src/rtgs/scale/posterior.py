@@ -14,7 +14,7 @@ from rtgs.scale.rig_loss import Vector
 _CALIBRATION_PIXELS = 0.1  # what `MODEL_PIXELS` is for the scale
 
 
-def noise(gradients: Vector) -> Vector:
+def gradient_covariance(gradients: Vector) -> Vector:
     """`[K, K]`: G, the covariance of the mean of the frames' gradients `[F, K]`.
 
     Neighbours err alike, so products of frames up to ∛F apart count, with Bartlett's weights.
@@ -59,8 +59,8 @@ def bias(hessian: Vector, pixels: Vector, blur_px: float = 0.0) -> Vector:
     return np.asarray(alike @ alike.T + np.diag(alone**2))
 
 
-def best_weight(hessian: Vector, gradient_covariance: Vector, prior: Vector) -> float:
-    """The w whose `covariance` has the smallest determinant: the prior counts as much as is best against this noise."""
+def best_weight(hessian: Vector, g: Vector, prior: Vector) -> float:
+    """The w whose `covariance` has the smallest determinant: the prior counts as much as is best against G, the gradients' covariance."""
     typical = float(np.median(np.diag(hessian)[1:]))
     weights = typical * np.logspace(-6, 4, 81)
-    return float(min(weights, key=lambda w: np.linalg.slogdet(covariance(hessian, gradient_covariance, prior, w))[1]))
+    return float(min(weights, key=lambda w: np.linalg.slogdet(covariance(hessian, g, prior, w))[1]))

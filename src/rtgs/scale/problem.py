@@ -91,8 +91,4 @@ class Solver(Protocol):
     """A way to find the scale. `rtgs.scale.solvers.SOLVERS` lists them."""
 
     def solve(self, problem: Problem) -> Found:
-        """Find the scale of a problem.
-
-        Raises:
-            RtgsError: the renderer's back end lacks what the solver needs.
-        """
+        """Find the scale of a problem."""

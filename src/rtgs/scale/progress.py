@@ -1,4 +1,4 @@
-"""Telling a person how far the search is."""
+"""The progress of a search, in pictures rendered."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ class RenderProgress:
     """Counts pictures as they are rendered and passes the count on to a progress bar. It changes nothing in the results.
 
     Args:
-        listener: called with (pictures rendered, pictures in all as far as is known, text); None: nobody listens.
+        listener: called with (pictures rendered, pictures in all as far as is known, text); None: only counted.
     """
 
     def __init__(self, listener: Progress | None) -> None:

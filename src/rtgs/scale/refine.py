@@ -17,12 +17,12 @@ from rtgs.records.scene import Scene
 from rtgs.scale.checks import softness
 from rtgs.scale.curves import LocalCurves
 from rtgs.scale.interval import WIDEST
-from rtgs.scale.newton import Solution, solve_jointly
-from rtgs.scale.pictures import Pictures
+from rtgs.scale.newton import JointSolution, solve_jointly
 from rtgs.scale.problem import Problem
 from rtgs.scale.records import Refinement, ScaleEstimate
 from rtgs.scale.rig_loss import RigLoss
 from rtgs.scale.rig_motion import motions, stated_motions
+from rtgs.scale.thermal_targets import Pictures
 
 _FEWEST = 4  # frames
 _ROUGH_STEP = 0.6  # of a frame interval: a pose that its neighbours' middle misses by more says nothing about the time in between
@@ -82,7 +82,7 @@ def refine(problem: Problem, estimate: ScaleEstimate, *, widest: float = WIDEST)
 class _Joint:
     """A joint solution, the pictures it was found with, and how many were rendered."""
 
-    solution: Solution
+    solution: JointSolution
     pictures: Pictures
     renders: int
 

@@ -59,7 +59,7 @@ class RigLoss:
 
     @property
     def size(self) -> int:
-        """K."""
+        """K: how many numbers x has."""
         return 1 + len(self.motions)
 
     @property

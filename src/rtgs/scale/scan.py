@@ -8,21 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.scale.bracket import Bracket
+from rtgs.scale.bracket import LOWEST_PX, Bracket
 from rtgs.scale.objective import Objective
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.resampling import UNLIKELY, significance
 
 _RATIO = 0.25  # by which neighbouring scales differ, where the flow is small
-_MOST_RIVALS = 3
+_MOST_OTHERS = 3
 
 
 def scan_thetas(bracket: Bracket, coarse_pixel: int) -> NDArray[np.float64]:
     """θ over the bracket: neighbours are one coarse pixel of flow apart, or a ratio of 1.25 where the flow is small."""
-    flows, most = [0.5], 0.5 * bracket.upper / bracket.lower
+    flows, most = [LOWEST_PX], LOWEST_PX * bracket.upper / bracket.lower
     while flows[-1] < most:
         flows.append(min(most, flows[-1] + min(float(coarse_pixel), _RATIO * flows[-1])))
-    return np.log(np.array(flows) * 2 * bracket.lower)
+    return np.log(np.array(flows) / LOWEST_PX * bracket.lower)
 
 
 def losses_over(
@@ -38,18 +38,18 @@ def losses_over(
 
 
 def local_minima(curves: NDArray[np.float64]) -> list[int]:
-    """Samples that are lower than their neighbours in the mean of the curves `[F, S]`, ends included: the best and its rivals.
+    """Samples that are lower than their neighbours in the mean of the curves `[F, S]`, ends included: the best, then others.
 
-    A rival is not significantly worse than the best, or at least half as deep below the curve's median. The second rule is there since a
-    sample hits a narrow minimum more or less well, in all frames alike.
+    Another one is returned where it is not significantly worse than the best, or at least half as deep below the curve's median. The
+    second rule is there since a sample hits a narrow minimum more or less well, in all frames alike.
     """
     mean = curves.mean(axis=0)
     framed = np.concatenate([[np.inf], mean, [np.inf]])
     found = sorted(np.flatnonzero((mean < framed[:-2]) & (mean <= framed[2:])).tolist(), key=lambda j: float(mean[j]))
     best, median = found[0], float(np.median(mean))
-    rivals = [
+    others = [
         j
         for j in found[1:]
         if significance(curves[:, j] - curves[:, best]) < UNLIKELY or median - mean[j] > 0.5 * (median - mean[best])
     ]
-    return [best, *rivals[:_MOST_RIVALS]]
+    return [best, *others[:_MOST_OTHERS]]

@@ -21,7 +21,7 @@ class Verdict:
     reason: str
 
 
-def judge(found: Found, interval: Interval) -> Verdict:
+def verdict_of(found: Found, interval: Interval) -> Verdict:
     """Weigh what a solver found and how sure it is. The first of these that holds decides:
 
     1. the solver has a doubt of its own: the answer lies at or beyond an end of the bracket, or fits no better than no baseline;
@@ -54,7 +54,7 @@ def judge(found: Found, interval: Interval) -> Verdict:
 
 def at_an_end(side: str, bracket: Bracket) -> str:
     """Why the images do not decide where a scan is lowest at an end; `side`: "below" or "above"."""
-    return f"the loss is lowest at an end of the scan: the scale lies {side} {_what_can_be_told(bracket)}"
+    return f"the loss is lowest at an end of the scan: the scale lies {side} {_observable_range(bracket)}"
 
 
 def outside(theta: float, bracket: Bracket) -> str:
@@ -62,16 +62,16 @@ def outside(theta: float, bracket: Bracket) -> str:
     s = math.exp(theta)
     if bracket.lower <= s <= bracket.upper:
         return ""
-    return f"the scale found, {s:.4g}, lies {'below' if s < bracket.lower else 'above'} {_what_can_be_told(bracket)}"
+    return f"the scale found, {s:.4g}, lies {'below' if s < bracket.lower else 'above'} {_observable_range(bracket)}"
 
 
 def no_better_than_none(theta: float, bracket: Bracket) -> str:
     """Why the images do not decide where they fit no baseline as well as the answer."""
     return (
         f"the images fit no baseline at all as well as {math.exp(theta):.4g}: if there is a scale, it may lie below "
-        f"{_what_can_be_told(bracket)}"
+        f"{_observable_range(bracket)}"
     )
 
 
-def _what_can_be_told(bracket: Bracket) -> str:
+def _observable_range(bracket: Bracket) -> str:
     return f"what the images can tell ({bracket}), or the edges of the two modalities do not agree."

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rtgs.thermal.drift import DriftKind
+from rtgs.config import DriftKind
 from rtgs.thermal.fit import Fitted
 from rtgs.thermal.least_squares import solve
 from rtgs.thermal.robust import solve_robustly

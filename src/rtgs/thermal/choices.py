@@ -6,19 +6,17 @@ Errors in decisions are mean absolute errors of a pixel on validation frames, af
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 from torch import Tensor
 
+from rtgs.config import DriftKind, DriftSetting
 from rtgs.records.decision import Decision
 from rtgs.thermal.candidates import FirstSolve, few_iterations, solve_candidates
-from rtgs.thermal.drift import DriftKind
 from rtgs.thermal.fit import Fitted
 from rtgs.thermal.frames import ThermalFrames
 from rtgs.thermal.settings import LinearSettings
 from rtgs.thermal.validation import EarlyStopping, Validation, is_clearly_less
 
-Asked = Literal["auto"] | DriftKind
 GAINS: DriftKind = "gain-offset"
 
 
@@ -32,7 +30,7 @@ def choose_rows(data: ThermalFrames, settings: LinearSettings) -> tuple[int, Dec
     return every, Decision("rows", "all" if every == 1 else f"1 in {every}", reason)
 
 
-def choose_drift(validation: Validation, first: FirstSolve, asked: Asked) -> tuple[DriftKind, Decision]:
+def choose_drift(validation: Validation, first: FirstSolve, asked: DriftSetting) -> tuple[DriftKind, Decision]:
     """Whether each frame has an offset. Gains are chosen later, when the pattern is known."""
     settings, errors, share = validation.fit.settings, None, 0.0
     if validation.frames:
@@ -71,7 +69,9 @@ def choose_pattern(validation: Validation, first: FirstSolve) -> tuple[bool, Dec
     return found, _decision("pattern", "removed" if found else "none", reason, validation, [before, after], share)
 
 
-def choose_gains(validation: Validation, kind: DriftKind, start: Fitted, asked: Asked) -> tuple[DriftKind, Fitted, Decision]:
+def choose_gains(
+    validation: Validation, kind: DriftKind, start: Fitted, asked: DriftSetting
+) -> tuple[DriftKind, Fitted, Decision]:
     """Whether each frame has a gain besides its offset.
 
     Args:

@@ -11,14 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import Tensor
 
+from rtgs.config import DriftKind
 from rtgs.records.radiometry import ThermalRange
-
-DriftKind = Literal["off", "offset", "gain-offset"]
 
 
 @dataclass(frozen=True, eq=False)

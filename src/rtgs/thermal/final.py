@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from rtgs.thermal.drift import Drift, DriftKind, in_gauge
+from rtgs.config import DriftKind
+from rtgs.thermal.drift import Drift, in_gauge
 from rtgs.thermal.fit import Fit, Fitted
 from rtgs.thermal.passes import Passes
 from rtgs.thermal.robust import solve_robustly

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from rtgs.config import DriftKind
 from rtgs.images.patterns import quadratic_terms, sensor_pattern
 from rtgs.thermal.coverage import Coverage, measure_coverage, ridge
 from rtgs.thermal.design import Design
-from rtgs.thermal.drift import Drift, DriftKind, estimate_drift, in_gauge
+from rtgs.thermal.drift import Drift, estimate_drift, in_gauge
 from rtgs.thermal.frames import ThermalFrames
 from rtgs.thermal.least_squares import Problem, preconditioner
 from rtgs.thermal.settings import LinearSettings

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from rtgs.config import DriftKind
 from rtgs.records.capture import Split
-from rtgs.thermal.drift import DriftKind, estimate_drift
+from rtgs.thermal.drift import estimate_drift
 from rtgs.thermal.fit import Fit
 
 

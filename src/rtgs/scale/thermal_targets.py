@@ -18,7 +18,7 @@ from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
 from rtgs.renderer import render
 from rtgs.scale.comparison import Comparison
-from rtgs.scale.noise import mean_gradients, model_error
+from rtgs.scale.edge_epsilon import mean_gradients, model_error
 from rtgs.scale.objective import Objective, scaled_thermal
 from rtgs.scale.problem import Problem
 

@@ -15,9 +15,9 @@ from rtgs.losses.ngf import NgfPyramid
 from rtgs.models import RgbModel
 from rtgs.renderer import RenderSettings
 from rtgs.scale import Comparison
-from rtgs.scale.pictures import Pictures
 from rtgs.scale.problem import Problem
 from rtgs.scale.resampling import curve_minimum
+from rtgs.scale.thermal_targets import Pictures
 
 
 def test_an_epsilon_of_the_size_of_edges_rewards_larger_edges() -> None:

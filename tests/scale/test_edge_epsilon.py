@@ -11,7 +11,7 @@ import torch
 from tests.helpers.scale_scenes import RIG, assembled, photographs, posts
 
 from rtgs.images.filters import GRAY_WEIGHTS
-from rtgs.scale.noise import mean_gradients, model_error
+from rtgs.scale.edge_epsilon import mean_gradients, model_error
 
 
 def test_mean_gradients_are_those_of_valid_pixels_level_by_level() -> None:
