@@ -39,8 +39,8 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_on_a_plane_at_its_distance_planar_is_as_good_as_ours(experiment: Path) -> None:
     rows = table(experiment)
     ours, planar, naive = (rows[key] for key in ("ours", "planar", "naive"))
-    assert float(ours["psnr_db"]) > 45  # the pictures are of this very model
-    assert float(planar["mae_c"]) < 0.15 and float(planar["psnr_db"]) > 35  # two interpolations
+    assert float(ours["psnr"]) > 45  # the pictures are of this very model
+    assert float(planar["mae_c"]) < 0.15 and float(planar["psnr"]) > 35  # two interpolations
     assert float(naive["mae_c"]) > 3 * float(planar["mae_c"])
     assert float(naive["sfm_per_metre"]) == 1 and float(ours["sfm_per_metre"]) == TRUTH and planar["sfm_per_metre"] == ""
 
@@ -57,7 +57,7 @@ def test_rows_that_cannot_run_say_why(experiment: Path) -> None:
         ("mast3r", "MASt3R", "mast3r"),
         ("depth", "Metric depth", "rtgs[depth]"),
     ):
-        assert rows[key]["psnr_db"] == "" and said in rows[key]["why_not"]
+        assert rows[key]["psnr"] == "" and said in rows[key]["why_not"]
         assert f"- {title} was not run" in text
     for key in ("naive", "planar", "ours"):
         assert rows[key]["why_not"] == ""
@@ -152,4 +152,4 @@ def test_of_a_capture_by_one_command(tmp_path: Path, monkeypatch: pytest.MonkeyP
     rows = table(out)
     assert float(rows["manual"]["sfm_per_metre"]) == pytest.approx(truth.sfm_per_metre, rel=1e-5)
     assert float(rows["ours"]["sfm_per_metre"]) == pytest.approx(RunFolder(out / "run").read_scale().sfm_per_metre, rel=1e-5)
-    assert "lpips_alex" not in rows["ours"] and "No LPIPS" in (out / "table3.md").read_text(encoding="utf-8")
+    assert "lpips" not in rows["ours"] and "No LPIPS" in (out / "table3.md").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from rtgs.base.progress import Progress
 from rtgs.experiments.csv_files import write_csv
 from rtgs.experiments.provenance import Page, Provenance
 from rtgs.experiments.real_rows import Row
-from rtgs.experiments.real_scores import HEADINGS, Scored, common_mask, shown
+from rtgs.experiments.real_scores import COLUMNS, Scored, common_mask
 from rtgs.images.pictures import Picture, error_map, palette, save_png, side_by_side, to_picture, with_colour_bar
 from rtgs.records.scene import Scene
 
@@ -70,12 +70,12 @@ def _write_frames(path: Path, scored: Scored) -> Path:
 
 def _markdown(rows: Sequence[Row], scored: Scored, notes: Sequence[str]) -> str:
     lines = [
-        "| strategy | SfM units per metre | " + " | ".join(HEADINGS[n] for n in scored.names) + " |",
+        "| strategy | SfM units per metre | " + " | ".join(COLUMNS[n].heading for n in scored.names) + " |",
         "|---|" + "---:|" * (1 + len(scored.names)),
     ]
     for row in rows:
         values = scored.means.get(row.key, {})
-        cells = [shown(n, values[n]) if n in values else "–" for n in scored.names]
+        cells = [COLUMNS[n].number(values[n]) if n in values else "–" for n in scored.names]
         lines.append(f"| {row.title} | {_scale(row) or '–'} | " + " | ".join(cells) + " |")
     absent = [f"{row.title} was not run: {row.why}" for row in rows if not row.images]
     return "\n".join([*lines, "", *(f"- {note}" for note in [*notes, *absent]), ""])
@@ -96,7 +96,7 @@ def _picture(thermal: NDArray[np.float32], rows: Sequence[Row], name: str, mask:
     below += [error_map(large(row.images[name]), large(thermal), limit, unit) for row in rows]
     width = thermal.shape[1] * factor
     below = [b[:, :width] for b in below[:-1]] + below[-1:]  # one bar a line
-    labels = [f"{row.title} {scored.frames[row.key][name]['psnr_db']:.2f} dB" for row in rows]
+    labels = [f"{row.title} {COLUMNS['psnr'].text(scored.frames[row.key][name]['psnr'])}" for row in rows]
     lines = [side_by_side(above, ["thermal image", *labels]), side_by_side(below, ["compared (white)", *("error" for _ in rows)])]
     widest = max(line.shape[1] for line in lines)
     return np.concatenate([np.pad(line, ((0, 0), (0, widest - line.shape[1]), (0, 0)), mode="edge") for line in lines])

@@ -13,22 +13,14 @@ from rtgs.base.progress import Progress
 from rtgs.config import RealExperimentConfig
 from rtgs.experiments.real_rows import Row
 from rtgs.metrics.basic import mae, psnr, ssim_index
-from rtgs.metrics.lpips import SMALLEST_PX, Lpips, Network
+from rtgs.metrics.lpips import SMALLEST_PX, Lpips, Network, available
+from rtgs.metrics.scores import SCORES, Score
 from rtgs.records.scene import Scene
 from rtgs.thermal import training_range
 
-NETWORKS: dict[str, Network] = {"lpips_alex": "alexnet", "lpips_vgg": "vgg16"}
-HEADINGS = {
-    "psnr_db": "PSNR, dB",
-    "ssim": "SSIM",
-    "lpips_alex": "LPIPS (AlexNet)",
-    "lpips_vgg": "LPIPS (VGG)",
-    "mae_c": "MAE, °C",
-    "mae_counts": "MAE, counts",
-    "region_c": "region, °C",
-    "region_counts": "region, counts",
-}
-DIGITS = {"psnr_db": 2, "mae_counts": 1, "region_c": 2, "region_counts": 1}  # three for the others
+NETWORKS: dict[Network, str] = {"alexnet": "lpips", "vgg16": "lpips_vgg"}
+COLUMNS = {**SCORES, "region_c": Score("region", "°C", 2), "region_counts": Score("region", "counts", 1)}
+"""Scores of the table by name. The region's is a mean temperature and no error."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ class Scored:
     def lines(self) -> list[str]:
         """One line a row, for a terminal."""
         return [
-            f"{key}: " + ", ".join(f"{HEADINGS[k]} {shown(k, v)}" for k, v in values.items())
+            f"{key}: " + ", ".join(f"{COLUMNS[k].title} {COLUMNS[k].text(v)}" for k, v in values.items())
             for key, values in self.means.items()
         ]
 
@@ -92,7 +84,7 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
         for name, image in row.images.items():
             a, b = span.normalise(np.where(mask, image, span.lo)), span.normalise(references[name])
             own[name] = {
-                "psnr_db": psnr(a, b, mask=mask),
+                "psnr": psnr(a, b, mask=mask),
                 "ssim": ssim_index(a, b, mask=mask),
                 **{key: net(a, b, mask=mask) for key, net in nets.items()},
                 f"mae_{radiometry.suffix}": mae(image, references[name], mask=mask),
@@ -120,18 +112,8 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
 
 
 def _networks(mask: NDArray[np.bool_]) -> tuple[dict[str, Lpips], list[str]]:
-    """The LPIPS networks whose weights are found, and a sentence on each of the others."""
+    """The LPIPS networks whose weights are found, by score, and a sentence on each of the others."""
     if min(mask.shape) < SMALLEST_PX:
         return {}, [f"No LPIPS: the thermal images are under {SMALLEST_PX} px a side."]
-    found, missing = {}, []
-    for key, network in NETWORKS.items():
-        try:
-            found[key] = Lpips.load(network)
-        except RtgsError as error:
-            missing.append(f"No {HEADINGS[key]}: {error}")
-    return found, missing
-
-
-def shown(name: str, value: float) -> str:
-    """A score as tables have it."""
-    return f"{value:.{DIGITS.get(name, 3)}f}"
+    found, missing = available(list(NETWORKS))
+    return {NETWORKS[network]: lpips for network, lpips in found.items()}, missing

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from rtgs.evaluation.records import Evaluation
+from rtgs.metrics.scores import SCORES
 
-_TEXTS = {
-    "psnr": "PSNR {:.2f} dB",
-    "ssim": "SSIM {:.4f}",
-    "lpips": "LPIPS {:.3f}",
-    "mae_c": "MAE {:.3f} °C",
-    "mae_counts": "MAE {:.1f} counts",
-}
 _TITLES = {"rgb": "RGB", "thermal": "thermal", "thermal_naive": "thermal at scale 1 (control)"}
 
 
@@ -18,7 +12,7 @@ def metric_lines(evaluation: Evaluation) -> list[str]:
     """One line a model: RGB, thermal and the control at scale 1. A model without a score has no line."""
     lines = []
     for key, model in evaluation.models.items():
-        shown = [_TEXTS[name].format(value) for name, value in model.known().items()]
+        shown = [f"{SCORES[name].title} {SCORES[name].text(value)}" for name, value in model.known().items()]
         if shown:
             lines.append(f"held-out {_TITLES[key]}: " + ", ".join(shown))
     return lines

@@ -23,7 +23,7 @@ def test_relative_thermal_counts_are_not_called_degrees(tmp_path: Path) -> None:
     changed(run, Evaluation(evaluation().rgb, counts, replace(counts, mae_counts=50.0), count_range=(100.0, 900.0)))
     page = page_of(run)
     assert "no radiometric calibration" in page.text and "°C" not in page.text
-    assert "Mean error, counts" in page.text and "40.3" in page.text and "−9.7" in page.text
+    assert "MAE, counts" in page.text and "40.3" in page.text and "−9.7" in page.text
     assert "range 100.0 to 900.0 counts" in page.text
 
 

@@ -32,7 +32,7 @@ def test_sections_stand_in_order(whole: Page) -> None:
     assert "rgb.densify.max_gaussians" in whole.text and "60000" in whole.text
     assert "chosen: 2.431" in whole.text and "95 % interval" in whole.text  # the curve's legend is text
     assert "frame_0014" in whole.text and "blurred <motion>" in whole.text  # escaped: it came back as text, not as a tag
-    assert "+2.40" in whole.text and "−0.39" in whole.text  # what the scale brought: dB, °C
+    assert "+2.40" in whole.text and "−0.390" in whole.text  # what the scale brought: dB, °C
     assert "16 min 04 s" in whole.text
 
 

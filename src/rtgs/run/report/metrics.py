@@ -7,9 +7,10 @@ import shlex
 from collections.abc import Mapping
 
 from rtgs.evaluation.records import Evaluation
+from rtgs.metrics.scores import SCORES
 from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import missing, section, wide
-from rtgs.run.report.values import METRICS, duration, first_upper, metric, signed_metric
+from rtgs.run.report.values import duration, first_upper, metric, signed_metric
 from rtgs.run.stages import TITLES
 
 _MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s\u00a0=\u00a01)"}
@@ -21,8 +22,8 @@ def metrics_section(run: Contents) -> str:
     if evaluation is None:
         return section("Metrics", missing(run, "metrics.json"))
     known = {key: scores.known() for key, scores in evaluation.models.items()}
-    columns = [name for name in METRICS if any(name in values for values in known.values())]
-    head = "".join(f"<th>{html.escape(METRICS[c])}</th>" for c in columns)
+    columns = [name for name in SCORES if any(name in values for values in known.values())]
+    head = "".join(f"<th>{html.escape(SCORES[c].heading)}</th>" for c in columns)
     body = "".join(_row(_MODELS[key], [metric(c, values.get(c)) for c in columns]) for key, values in known.items())
     if "thermal_naive" in known:
         ours, naive = known["thermal"], known["thermal_naive"]
@@ -43,6 +44,8 @@ def _notes(run: Contents, evaluation: Evaluation, columns: list[str]) -> list[st
     if run.thermal_range:
         lo, hi = run.thermal_range
         note += f" Thermal PSNR, SSIM and LPIPS are on the range {lo:.1f} to {hi:.1f} {run.unit}."
+    if {"mae_c", "mae_counts"} & set(columns):
+        note += " MAE: mean absolute error of the thermal values."
     if "lpips" in columns:
         note += " LPIPS (AlexNet): how different two pictures look, 0 for equal ones."
     command = html.escape(f"rtgs eval {shlex.quote(str(run.path))}")

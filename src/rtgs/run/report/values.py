@@ -6,20 +6,17 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "lpips": "LPIPS", "mae_c": "Mean error, °C", "mae_counts": "Mean error, counts"}
-"""Score → heading of its column, in the order of the columns."""
-
-_DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "mae_c": 2, "mae_counts": 1}
+from rtgs.metrics.scores import SCORES
 
 
 def metric(name: str, value: float | None) -> str:
-    """A score with the decimals that mean something; a dash where there is none."""
-    return "–" if value is None else f"{value:.{_DECIMALS.get(name, 3)}f}"
+    """A score without its unit; a dash where there is none."""
+    return "–" if value is None else SCORES[name].number(value)
 
 
 def signed_metric(name: str, difference: float | None) -> str:
     """A difference of two scores, with its sign."""
-    return "–" if difference is None else minus(f"{difference:+.{_DECIMALS.get(name, 3)}f}")
+    return "–" if difference is None else minus(f"{difference:+.{SCORES[name].decimals}f}")
 
 
 def minus(number: str) -> str:

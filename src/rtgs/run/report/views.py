@@ -8,9 +8,9 @@ import matplotlib
 import numpy as np
 from PIL import Image
 
+from rtgs.metrics.scores import SCORES
 from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import figure, frame_names, missing, picture, section
-from rtgs.run.report.values import metric
 
 MOST_OVERLAYS = 3
 
@@ -77,8 +77,8 @@ def _scores(run: Contents, model: str, name: str) -> str:
     models = {} if run.evaluation is None else run.evaluation.models
     if model not in models or name not in models[model].per_frame:
         return ""
-    known, units = models[model].per_frame[name].known(), {"psnr": "\u00a0dB", "mae_c": "\u00a0°C"}
-    return "".join(f" · {metric(m, known[m])}{unit}" for m, unit in units.items() if m in known)
+    known = models[model].per_frame[name].known()
+    return "".join(f" · {SCORES[m].text(known[m])}".replace(" ", "\u00a0") for m in ("psnr", "mae_c") if m in known)
 
 
 def _colour_bar(run: Contents) -> str:
