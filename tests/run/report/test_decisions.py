@@ -8,6 +8,9 @@ from tests.helpers.made_up_run import make_run, page_of
 
 from rtgs.base.json_records import write_json
 from rtgs.records.decision import Decision
+from rtgs.records.radiometry import LinearRange
+from rtgs.renderer import RenderSettings
+from rtgs.run.model_files import ThermalFile
 
 DECISIONS = [
     Decision("drift", "offset", "Offsets lower the error within validation frames.", 0.5, 0.41, "°C", 0.02),
@@ -16,9 +19,14 @@ DECISIONS = [
 ]
 
 
+def thermal_file(*decisions: Decision) -> ThermalFile:
+    span = LinearRange(18.0, 41.5)
+    return ThermalFile([0.5], RenderSettings(), {}, span, span, 2.4, {}, decisions=decisions)
+
+
 def test_every_decision_is_a_row_with_its_numbers(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
-    write_json(run / "thermal.json", {"background": [0.5], "decisions": DECISIONS})
+    write_json(run / "thermal.json", thermal_file(*DECISIONS))
     page = page_of(run)
     assert page.headings[5:8] == ["Metrics", "Decisions of the thermal fit", "Time taken"]
     drift = "Drift of the sensor offset Offsets lower the error within validation frames. 0.500 → 0.410 °C (−18.0 %) 2 %"
@@ -29,7 +37,5 @@ def test_every_decision_is_a_row_with_its_numbers(tmp_path: Path) -> None:
 
 def test_a_model_without_decisions_has_no_such_section(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
-    contents: list[dict[str, list[float]]] = [{"background": [0.5]}, {"decisions": []}]
-    for content in contents:
-        write_json(run / "thermal.json", content)
-        assert "Decisions of the thermal fit" not in page_of(run).headings
+    write_json(run / "thermal.json", thermal_file())
+    assert "Decisions of the thermal fit" not in page_of(run).headings

@@ -27,12 +27,14 @@ def demo(listener: Hidden, out: Path = Path("rtgs-demo")) -> None:
 
 def demonstrate(out: Path, capture: SynthConfig, config: RunConfig, listener: Listener) -> None:
     """Make the capture if it is not there, run it, and say how far the scale is from the truth."""
+    from rtgs.run.folder import RunFolder
+
     rig_json, truth_json = out / "capture" / "rig.json", out / "capture" / "ground_truth.json"
     made = rig_json.exists() and truth_json.exists()
     if not made or read_run_json(truth_json)["config"] != asdict(capture):
         make_synthetic(out / "capture", capture, listener)
     whole_run(out / "capture", out / "run", config, listener)
     truth = read_run_json(truth_json)["sfm_per_metre"]
-    found = read_run_json(out / "run" / "scale.json")["sfm_per_metre"]
+    found = RunFolder(out / "run").read_scale().sfm_per_metre
     error = 100 * abs(found / truth - 1)
     listener(ResultLine(f"true scale {truth:.5g}, found {found:.5g} SfM units per metre: off by {error:.3f} %"))

@@ -6,8 +6,8 @@ import html
 import math
 
 from rtgs.records.decision import Decision
-from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import section
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import minus
 
 _TITLES = {
@@ -20,7 +20,7 @@ _TITLES = {
 _COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after", "Gain needed")
 
 
-def decisions_section(run: Contents) -> str:
+def decisions_section(run: RunRecords) -> str:
     """A table of the decisions in `thermal.json`; "" where none are recorded."""
     if not run.decisions:
         return ""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import html
 
 from rtgs.base.json_records import to_json
-from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import facts, missing, section, wide
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import flattened, length, size
 
 _FEW_FAILURES = 10  # listed without a click
 
 
-def inputs_section(run: Contents) -> str:
+def inputs_section(run: RunRecords) -> str:
     """The capture, the version and every setting."""
     summary = run.summary
     values: dict[str, object] = {"Capture": run.capture}
@@ -29,7 +29,7 @@ def inputs_section(run: Contents) -> str:
     return section("What was run", inside + (missing(run, " and ".join(absent)) if absent else ""))
 
 
-def _settings(run: Contents) -> str:
+def _settings(run: RunRecords) -> str:
     if run.settings is None:
         return ""
     settings = list(flattened(to_json(run.settings)))
@@ -37,7 +37,7 @@ def _settings(run: Contents) -> str:
     return f"<details><summary>All {len(settings)} settings</summary>{wide(cells)}</details>"
 
 
-def warnings_section(run: Contents) -> str:
+def warnings_section(run: RunRecords) -> str:
     """Warnings about the capture, and the frames that were not used; "" where there are none."""
     if run.summary is None:
         return ""

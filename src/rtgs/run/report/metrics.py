@@ -8,15 +8,15 @@ from collections.abc import Mapping
 
 from rtgs.evaluation.records import Evaluation
 from rtgs.metrics.scores import SCORES
-from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import missing, section, wide
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import duration, first_upper, metric, signed_metric
 from rtgs.run.stages import TITLES
 
 _MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s\u00a0=\u00a01)"}
 
 
-def metrics_section(run: Contents) -> str:
+def metrics_section(run: RunRecords) -> str:
     """A row a model, the difference that the scale makes, and what the scores refer to."""
     evaluation = run.evaluation
     if evaluation is None:
@@ -38,7 +38,7 @@ def _row(title: str, cells: list[str], kind: str = "") -> str:
     return f"<tr{name}><th>{html.escape(title)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
 
 
-def _notes(run: Contents, evaluation: Evaluation, columns: list[str]) -> list[str]:
+def _notes(run: RunRecords, evaluation: Evaluation, columns: list[str]) -> list[str]:
     count = len(evaluation.thermal.per_frame or evaluation.rgb.per_frame)
     note = "Means over held-out frames" + (f" ({count})" if count else "") + "; nothing was fitted to them."
     if run.thermal_range:
@@ -52,7 +52,7 @@ def _notes(run: Contents, evaluation: Evaluation, columns: list[str]) -> list[st
     return [note, *(f"{html.escape(text)} Then <code>{command}</code>." for text in evaluation.notes)]
 
 
-def timings_section(run: Contents) -> str:
+def timings_section(run: RunRecords) -> str:
     """Seconds of each stage as bars; "" where the run has not been evaluated."""
     seconds: Mapping[str, float] = {} if run.evaluation is None else run.evaluation.timings_s
     if not seconds:

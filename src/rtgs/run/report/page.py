@@ -8,10 +8,10 @@ from pathlib import Path
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import write_text_whole
-from rtgs.run.report.contents import Contents
 from rtgs.run.report.decisions import decisions_section
 from rtgs.run.report.inputs import inputs_section, warnings_section
 from rtgs.run.report.metrics import metrics_section, timings_section
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.scale import scale_section
 from rtgs.run.report.verdict import page_title, verdict_header
 from rtgs.run.report.views import overlay_section, rgb_section, thermal_section
@@ -44,9 +44,9 @@ def write_report(run: Path) -> Path:
     run = Path(run)
     if not run.is_dir():
         raise RtgsError(f"{run}: no such run folder; `rtgs run CAPTURE --out {shlex.quote(str(run))}` makes one")
-    contents = Contents.read(run)
-    parts = [section(contents) for section in _SECTIONS]
-    page = _PAGE.format(title=html.escape(page_title(contents)), style=_STYLE, body="\n".join(p for p in parts if p))
+    records = RunRecords.read(run)
+    parts = [section(records) for section in _SECTIONS]
+    page = _PAGE.format(title=html.escape(page_title(records)), style=_STYLE, body="\n".join(p for p in parts if p))
     path = run / "report.html"
     try:
         write_text_whole(path, page)

@@ -12,7 +12,7 @@ from typing import Any
 from PIL import Image
 
 from rtgs.base.errors import RtgsError
-from rtgs.run.report.contents import Contents
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import evenly
 
 MOST_FRAMES = 6
@@ -24,7 +24,7 @@ def section(title: str, inside: str) -> str:
     return f"<section><h2>{html.escape(title)}</h2>{inside}</section>" if inside else ""
 
 
-def missing(run: Contents, what: str) -> str:
+def missing(run: RunRecords, what: str) -> str:
     """A sentence that names what the run has not made yet, and the command that makes it."""
     return f'<p class="missing">This run has no {html.escape(what)} yet. To make it: <code>{html.escape(run.command)}</code></p>'
 
@@ -43,14 +43,14 @@ def wide(table: str, kind: str = "") -> str:
     return f'<div class="wide"><table{name}>{table}</table></div>'
 
 
-def frame_names(run: Contents, folder: str, what: str, at_most: int = MOST_FRAMES) -> list[str]:
+def frame_names(run: RunRecords, folder: str, what: str, at_most: int = MOST_FRAMES) -> list[str]:
     """Frames that have `renders/folder/NAME.what.png`, evenly chosen in name order."""
     end = f".{what}.png"
     found = sorted(p.name.removesuffix(end) for p in (run.path / "renders" / folder).glob(f"*{end}") if p.name != end)
     return [found[i] for i in evenly(len(found), at_most)]
 
 
-def picture(run: Contents, folder: str, name: str, what: str) -> Path:
+def picture(run: RunRecords, folder: str, name: str, what: str) -> Path:
     """Where the evaluation writes a picture of a frame."""
     return run.path / "renders" / folder / f"{name}.{what}.png"
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import html
 
 from rtgs.run.report.charts import history_chart, local_chart, scan_chart
-from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import facts, missing, section, wide
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import first_upper, minus
 from rtgs.scale import ScaleEstimate
 from rtgs.scale.records import Freedom, Refinement
 
-_SOLVERS = {"adam": "Adam", "gauss_newton": "Gauss-Newton", "global": "scan and Gauss-Newton"}
+_SOLVERS = {"adam": "Adam", "global": "scan and Gauss-Newton"}
 
 
-def scale_section(run: Contents) -> str:
+def scale_section(run: RunRecords) -> str:
     """Numbers, the solver's reason, curves and the refined calibration."""
     scale = run.scale
     if scale is None:

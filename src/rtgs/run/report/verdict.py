@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 
-from rtgs.run.report.contents import Contents
+from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import length
 
 _STATUS = {
@@ -15,7 +15,7 @@ _STATUS = {
 _ALIKE_DB = 0.05  # models that differ by less are said to be equal: the sentence shows one decimal
 
 
-def verdict_header(run: Contents) -> str:
+def verdict_header(run: RunRecords) -> str:
     """Title, badge and sentences."""
     badge, said = _scale(run)
     said += _thermal(run)
@@ -23,12 +23,12 @@ def verdict_header(run: Contents) -> str:
     return f'<header><h1>{title}</h1>{badge}<p class="verdict">{" ".join(said)}</p></header>'
 
 
-def page_title(run: Contents) -> str:
+def page_title(run: RunRecords) -> str:
     """What the page is called, as text."""
     return f"RGB–thermal model of {run.name}"
 
 
-def _scale(run: Contents) -> tuple[str, list[str]]:
+def _scale(run: RunRecords) -> tuple[str, list[str]]:
     scale = run.scale
     if scale is None:
         return '<span class="badge none">Scale not estimated yet</span>', ["This run has no scale so far."]
@@ -46,7 +46,7 @@ def _scale(run: Contents) -> tuple[str, list[str]]:
     return f'<span class="badge {colour}">{html.escape(words)}</span>', said
 
 
-def _thermal(run: Contents) -> list[str]:
+def _thermal(run: RunRecords) -> list[str]:
     evaluation = run.evaluation
     if evaluation is None or evaluation.thermal.psnr is None:
         return []

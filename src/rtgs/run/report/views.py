@@ -9,13 +9,13 @@ import numpy as np
 from PIL import Image
 
 from rtgs.metrics.scores import SCORES
-from rtgs.run.report.contents import Contents
 from rtgs.run.report.pieces import figure, frame_names, missing, picture, section
+from rtgs.run.report.run_records import RunRecords
 
 MOST_OVERLAYS = 3
 
 
-def overlay_section(run: Contents) -> str:
+def overlay_section(run: RunRecords) -> str:
     """Edges of the RGB model on those of the thermal images, before and after."""
     names = frame_names(run, "overlay", "after", MOST_OVERLAYS)
     if not names:
@@ -32,7 +32,7 @@ def overlay_section(run: Contents) -> str:
     return section("Do the edges meet?", legend + "".join(rows))
 
 
-def rgb_section(run: Contents) -> str:
+def rgb_section(run: RunRecords) -> str:
     """Photograph, render and error of held-out RGB views."""
     names = frame_names(run, "rgb", "render")
     if not names:
@@ -40,7 +40,7 @@ def rgb_section(run: Contents) -> str:
     return section("Held-out RGB views", "".join(_heading(name) + _triple(run, "rgb", name) for name in names))
 
 
-def thermal_section(run: Contents) -> str:
+def thermal_section(run: RunRecords) -> str:
     """The same of thermal views, each with its control below."""
     names = frame_names(run, "thermal", "render")
     if not names:
@@ -53,13 +53,13 @@ def _heading(name: str) -> str:
     return f"<h3>{html.escape(name)}</h3>"
 
 
-def _triple(run: Contents, model: str, name: str) -> str:
+def _triple(run: RunRecords, model: str, name: str) -> str:
     captions = {"reference": "reference", "render": "render" + _scores(run, model, name), "error": "error"}
     figures = [figure(picture(run, model, name, what), caption) for what, caption in captions.items()]
     return f'<div class="triple">{"".join(figures)}</div>'
 
 
-def _control(run: Contents, name: str) -> str:
+def _control(run: RunRecords, name: str) -> str:
     captions = {"render": "scale ignored" + _scores(run, "thermal_naive", name), "error": "its error"}
     figures = [figure(picture(run, "thermal_naive", name, what), caption) for what, caption in captions.items()]
     if not any(figures):
@@ -72,7 +72,7 @@ def _control(run: Contents, name: str) -> str:
     return f'<div class="triple">{"".join(figures)}</div>'
 
 
-def _scores(run: Contents, model: str, name: str) -> str:
+def _scores(run: RunRecords, model: str, name: str) -> str:
     """For a caption: " · 31.20 dB · 0.61 °C", with spaces that do not break a line within a number."""
     models = {} if run.evaluation is None else run.evaluation.models
     if model not in models or name not in models[model].per_frame:
@@ -81,7 +81,7 @@ def _scores(run: Contents, model: str, name: str) -> str:
     return "".join(f" · {SCORES[m].text(known[m])}".replace(" ", "\u00a0") for m in ("psnr", "mae_c") if m in known)
 
 
-def _colour_bar(run: Contents) -> str:
+def _colour_bar(run: RunRecords) -> str:
     if run.thermal_range is None:
         return ""
     colours = matplotlib.colormaps["inferno"](np.linspace(0, 1, 12))[:, :3]

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import from_json, read_record, read_run_json
+from rtgs.base.json_records import read_record
 from rtgs.config import RunConfig
 from rtgs.evaluation.records import Evaluation
 from rtgs.records.decision import Decision
 from rtgs.records.radiometry import Unit
 from rtgs.run.config_file import read_config
+from rtgs.run.model_files import ThermalFile
 from rtgs.run.records import CaptureSummary
 from rtgs.scale import ScaleEstimate
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Contents:
+class RunRecords:
     """The records of a run folder. A record that no stage has written yet is None.
 
     Attributes:
@@ -41,14 +41,15 @@ class Contents:
     decisions: tuple[Decision, ...]
 
     @staticmethod
-    def read(run: Path) -> Contents:
+    def read(run: Path) -> RunRecords:
         """Read what is there.
 
         Raises:
             RtgsError: a file cannot be read, or is not what this version writes.
         """
+        thermal = _optional(run / "thermal.json", lambda path: read_record(ThermalFile, path))
         config = _optional(run / "config.json", lambda path: read_config(path.parent))
-        return Contents(
+        return RunRecords(
             path=run,
             capture=config.capture if config else None,
             settings=config.config if config else None,
@@ -56,7 +57,7 @@ class Contents:
             summary=_optional(run / "capture_summary.json", CaptureSummary.read),
             scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
-            decisions=_optional(run / "thermal.json", _decisions) or (),
+            decisions=thermal.decisions if thermal else (),
         )
 
     @property
@@ -88,10 +89,3 @@ class Contents:
 
 def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
     return read(path) if path.is_file() else None
-
-
-def _decisions(path: Path) -> tuple[Decision, ...]:
-    data = read_run_json(path)
-    if not isinstance(data, dict) or not isinstance(data.get("decisions") or [], list):
-        raise RtgsError(f"{path}: not a thermal model's record; remove it and run again.")
-    return tuple(from_json(Decision, decision, str(path)) for decision in data.get("decisions") or [])
