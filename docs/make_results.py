@@ -2,7 +2,7 @@
 
     python docs/make_results.py                              list the pages and their commands
     python docs/make_results.py scale-units --out DIR        run the command, and replace the page's header and table
-    python docs/make_results.py scale-splits --run RUN       for pages that start from a run, or from a capture (--capture DIR)
+    python docs/make_results.py scale-halves --run RUN       for pages that start from a run, or from a capture (--capture DIR)
 
 A page keeps its explanations. Between `<!-- measured -->` and `<!-- end -->` stands only what this script wrote: command, version,
 machine, date, and the tables of the command's output. Commands take minutes to hours.
@@ -63,10 +63,13 @@ PAGES = {
             "table3.md",
         ),
         Page("table3-arco", "rtgs experiment real {run} --out {out} --thermal.drift offset", "table3.md"),
+        Page("arco", "python benchmarks/run_tables.py {run}"),
+        Page("demo", "python benchmarks/run_tables.py {run}"),
         Page("thermal-adam", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene}", scenes=SCENES),
         Page("thermal-truth", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene} --steps ''", scenes=SCENES),
         Page("thermal-rules", "python benchmarks/thermal_rules.py --out {out} --run {run}"),
         Page("renderer-speed", "python benchmarks/render.py"),
+        Page("renderer-rivals", "python benchmarks/render.py --only rival"),
         Page(
             "training",
             "python benchmarks/train.py {capture} --out {out} --threads 2 --seeds 0 1 --times-four --scale",

@@ -5,7 +5,8 @@ from __future__ import annotations
 from rtgs.evaluation.records import Evaluation
 from rtgs.metrics.scores import SCORES
 
-_TITLES = {"rgb": "RGB", "thermal": "thermal", "thermal_naive": "thermal at scale 1 (control)"}
+MODEL_TITLES = {"rgb": "RGB", "thermal": "thermal", "thermal_naive": "thermal at scale 1 (control)"}
+"""The models of `Evaluation.models` for people."""
 
 
 def metric_lines(evaluation: Evaluation) -> list[str]:
@@ -14,5 +15,5 @@ def metric_lines(evaluation: Evaluation) -> list[str]:
     for key, model in evaluation.models.items():
         shown = [f"{SCORES[name].title} {SCORES[name].text(value)}" for name, value in model.known().items()]
         if shown:
-            lines.append(f"held-out {_TITLES[key]}: " + ", ".join(shown))
+            lines.append(f"held-out {MODEL_TITLES[key]}: " + ", ".join(shown))
     return lines
