@@ -3,6 +3,7 @@
 # make lint   ruff and mypy alone
 # make docs   the site in docs/_build/html; any warning is an error
 # make results PAGE=scale-units ARGS="--out DIR"   measure a page of results again (minutes to hours)
+# make clean-kernels   delete Numba's cache, which does not notice changes of other files than a kernel's own
 # Each sets up .venv first, in a fresh clone too. PYTHON picks the interpreter: make test PYTHON=python3.12
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: test demo lint venv docs results
+.PHONY: test demo lint venv docs results clean-kernels
 .NOTPARALLEL:
 
 venv: $(STAMP)
@@ -49,6 +50,9 @@ demo: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
+clean-kernels:
+	find src tests benchmarks -path '*/__pycache__/*' \( -name '*.nbi' -o -name '*.nbc' \) -delete
 
 results: $(STAMP)
 	$(BIN)/python docs/make_results.py $(PAGE) $(ARGS)

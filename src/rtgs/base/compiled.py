@@ -4,8 +4,7 @@
     def add(a, b, out): ...
 
 Every kernel is kept in Numba's cache, so that only the first run after a change compiles it. **The cache looks at the kernel's own file
-alone**: after an edit of this file, or of a function or constant that a kernel takes from another file, delete the `__pycache__` folders
-of the kernels that use it.
+alone**: after an edit of this file, or of a function or constant that a kernel takes from another file, call `make clean-kernels`.
 """
 
 from __future__ import annotations
