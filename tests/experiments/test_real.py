@@ -152,4 +152,4 @@ def test_of_a_capture_by_one_command(tmp_path: Path, monkeypatch: pytest.MonkeyP
     rows = table(out)
     assert float(rows["manual"]["sfm_per_metre"]) == pytest.approx(truth.sfm_per_metre, rel=1e-5)
     assert float(rows["ours"]["sfm_per_metre"]) == pytest.approx(RunFolder(out / "run").read_scale().sfm_per_metre, rel=1e-5)
-    assert "lpips" not in rows["ours"] and "No LPIPS" in (out / "table3.md").read_text(encoding="utf-8")
+    assert "lpips" not in rows["ours"] and "LPIPS: no weights of alexnet" in (out / "table3.md").read_text(encoding="utf-8")
