@@ -12,7 +12,7 @@ from tests.helpers.captures import NAMES, POSES, RGB, edit_rig, refused, write_p
 
 from rtgs.base.errors import RtgsError
 from rtgs.io.capture import load_capture
-from rtgs.io.colmap import colmap_camera, read_scene, rigid3d_from_se3, write_scene
+from rtgs.io.colmap import colmap_camera, read_scene, read_sparse, rigid3d_from_se3, write_scene
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
 from rtgs.records.capture import SparsePoints
@@ -121,13 +121,58 @@ def test_sparse_that_is_no_model(root: Path) -> None:
     refused(root, "sparse/0: is not a COLMAP model that can be read")
 
 
-@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("name", ["rigs", "cameras", "frames", "images", "points3D"])
 @pytest.mark.parametrize("kept", [0, 4, 9, -1])
 def test_sparse_that_is_truncated(root: Path, name: str, kept: int) -> None:
     write_sparse(root)
     path = root / "sparse" / "0" / f"{name}.bin"
     path.write_bytes(path.read_bytes()[:kept])
     refused(root, f"{name}.bin: is truncated")
+
+
+@pytest.mark.parametrize("name", ["rigs", "frames"])
+def test_sparse_that_is_truncated_anywhere(root: Path, name: str) -> None:
+    """COLMAP itself goes on for ever with many of these lengths, and accepts others."""
+    write_sparse(root)
+    path = root / "sparse" / "0" / f"{name}.bin"
+    whole = path.read_bytes()
+    for kept in range(len(whole)):
+        path.write_bytes(whole[:kept])
+        with pytest.raises(RtgsError, match=rf"{name}\.bin: is truncated"):
+            read_sparse(root / "sparse" / "0")
+    path.write_bytes(whole)
+    assert len(read_sparse(root / "sparse" / "0")[1].world_from_rgb) == len(POSES)
+
+
+def test_a_rig_of_two_sensors_that_is_truncated(tmp_path: Path) -> None:
+    """A sensor with a pose and one without have records of different length."""
+    model = pycolmap.Reconstruction()
+    rig = pycolmap.Rig(rig_id=1)
+    sensors = []
+    for i in range(3):
+        camera = colmap_camera(Camera("PINHOLE", 64, 48, 60.0, 60.0, 32.0, 24.0), i + 1)
+        model.add_camera(camera)
+        sensors.append(camera.sensor_id)
+    rig.add_ref_sensor(sensors[0])
+    rig.add_sensor(sensors[1], rigid3d_from_se3(SE3.identity()))
+    rig.add_sensor(sensors[2], None)
+    model.add_rig(rig)
+    frame = pycolmap.Frame(frame_id=1, rig_id=1, rig_from_world=rigid3d_from_se3(SE3.identity()))
+    image = pycolmap.Image(name="a.png", camera_id=1, image_id=1)
+    frame.add_data_id(image.data_id)
+    model.add_frame(frame)
+    image.frame_id = 1
+    model.add_image(image)
+    model.register_frame(1)
+    model.write_binary(tmp_path)
+    assert list(read_sparse(tmp_path)[1].world_from_rgb) == ["a"]
+    for name in ("rigs", "frames"):
+        path = tmp_path / f"{name}.bin"
+        whole = path.read_bytes()
+        path.write_bytes(whole[:-1])
+        with pytest.raises(RtgsError, match=rf"{name}\.bin: is truncated"):
+            read_sparse(tmp_path)
+        path.write_bytes(whole)
 
 
 def test_sparse_with_an_unknown_camera_model(root: Path) -> None:

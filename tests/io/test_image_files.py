@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -59,6 +60,28 @@ def test_not_an_image(root: Path, folder: str) -> None:
     path = next((root / folder).glob(f"{NAMES[3]}.*"))
     path.write_bytes(b"not an image at all")
     refused(root, path.name, "cannot be read")
+
+
+@pytest.mark.parametrize("folder", ["rgb", "thermal"])
+def test_an_eps_of_another_name_is_no_image(root: Path, folder: str) -> None:
+    """Pillow would start Ghostscript to draw it, and that program may never end."""
+    path = next((root / folder).glob(f"{NAMES[3]}.*"))
+    path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\n%%EndComments\n{} loop\n")
+    refused(root, path.name, "not an image that can be identified")
+
+
+def test_every_image_is_opened_as_a_named_format() -> None:
+    """Then no file, whatever its content, makes Pillow start an external program."""
+    sources = sorted((Path(__file__).parents[2] / "src").rglob("*.py"))
+    calls = [
+        (path.name, node)
+        for path in sources
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Image.open"
+    ]
+    assert calls
+    for name, call in calls:
+        assert any(keyword.arg == "formats" for keyword in call.keywords), f"{name}:{call.lineno}"
 
 
 @pytest.mark.parametrize("folder", ["rgb", "thermal"])

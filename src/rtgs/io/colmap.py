@@ -214,7 +214,7 @@ def _read_model(folder: Path) -> pycolmap.Reconstruction:
 
 def _check_binary_lengths(folder: Path) -> None:
     """Refuse truncated binary files: COLMAP takes what it reads past the end for a count and works on it for minutes."""
-    for name, walk in (("cameras", _walk_cameras), ("images", _walk_images), ("points3D", _walk_points)):
+    for name, walk in _WALKS.items():
         path = folder / f"{name}.bin"
         if not path.is_file():
             continue  # a text model, or none: COLMAP says which file it misses
@@ -252,6 +252,37 @@ def _walk_points(data: bytes, count: int) -> int:
     for _ in range(count):
         at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
     return at
+
+
+def _walk_rigs(data: bytes, count: int) -> int:
+    """Offset after the last record: id, number of sensors, the reference sensor (8 bytes), the others.
+
+    Each other sensor has 8 bytes, whether its pose is known (a byte), and the pose of 56 bytes if it is.
+    """
+    at = 8
+    for _ in range(count):
+        n_sensors = struct.unpack_from("<I", data, at + 4)[0]
+        at += 8 + (8 if n_sensors > 0 else 0)
+        for _ in range(n_sensors - 1):
+            at += 9 + (56 if struct.unpack_from("<B", data, at + 8)[0] else 0)
+    return at
+
+
+def _walk_frames(data: bytes, count: int) -> int:
+    """Offset after the last record: id, rig, pose (64 bytes), count, images of 16 bytes."""
+    at = 8
+    for _ in range(count):
+        at += 68 + 16 * struct.unpack_from("<I", data, at + 64)[0]
+    return at
+
+
+_WALKS = {
+    "rigs": _walk_rigs,
+    "cameras": _walk_cameras,
+    "frames": _walk_frames,
+    "images": _walk_images,
+    "points3D": _walk_points,
+}
 
 
 def _camera_from_colmap(folder: Path, camera: pycolmap.Camera) -> Camera:

@@ -22,6 +22,8 @@ from PIL.TiffImagePlugin import TiffImageFile
 from rtgs.base.errors import RtgsError
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+# Pillow goes by a file's content. Left free, it would open an EPS of any name, for which it starts Ghostscript.
+IMAGE_FORMATS = ("JPEG", "PNG", "TIFF")
 _ORIENTATION, _DATE_TIME, _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS_ORIGINAL = 0x0112, 0x0132, 0x8769, 0x9003, 0x9291
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_PHOTOMETRIC, _TIFF_SAMPLE_FORMAT = 0x0100, 0x0101, 0x0102, 0x0106, 0x0153
 _MIN_IS_WHITE, _UNSIGNED, _GDAL_NODATA = 0, 1, 0xA481
@@ -122,7 +124,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     for pixels that are stored sideways.
     """
     try:
-        with path.open("rb") as file, Image.open(file) as image:
+        with path.open("rb") as file, Image.open(file, formats=IMAGE_FORMATS) as image:
             yield image
     except (OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from error

@@ -101,7 +101,9 @@ def read_thermal(run: Path, name: str) -> ThermalModel:
         settings=file.settings,
         sfm_per_metre=file.sfm_per_metre,
         history=file.history,
-        sensor=SensorModel(file.drift, None if file.pattern is None else np.asarray(Image.open(run / file.pattern))),
+        sensor=SensorModel(
+            file.drift, None if file.pattern is None else np.asarray(Image.open(run / file.pattern, formats=("TIFF",)))
+        ),
         temperatures=GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         decisions=file.decisions,
     )

@@ -32,6 +32,7 @@ from rtgs.io.cameras.jpeg import (
     with_exif,
 )
 from rtgs.io.cameras.protocol import CameraFormat, Shot, VisiblePicture
+from rtgs.io.image_files import IMAGE_FORMATS
 from rtgs.records.radiometry import ZERO_CELSIUS_K, Atmosphere, ObjectParameters, PlanckCalibration, PlanckRadiometry
 
 _RAW, _VISIBLE, _CAMERA, _FUSION = 0x01, 0x0E, 0x20, 0x2A
@@ -282,7 +283,7 @@ def _fusion(path: Path, data: bytes, digital_zoom: object) -> Fusion | None:
 
 def _decode(path: Path, what: str, body: bytes) -> NDArray[Any]:
     try:
-        with Image.open(io.BytesIO(body)) as image:
+        with Image.open(io.BytesIO(body), formats=IMAGE_FORMATS) as image:
             return np.asarray(image)
     except (OSError, SyntaxError, ValueError) as error:
         raise RtgsError(f"{path}: its {what} is damaged ({error}). {EXPORT_AGAIN}") from error
@@ -341,7 +342,7 @@ def _embedded(image: FlirImage) -> VisiblePicture | None:
             exif[tag] = text
     if image.gps:
         exif.get_ifd(GPS_IFD).update(image.gps)
-    with Image.open(io.BytesIO(image.visible_file)) as picture:
+    with Image.open(io.BytesIO(image.visible_file), formats=IMAGE_FORMATS) as picture:
         width = picture.width
         if image.visible_file.startswith(b"\xff\xd8"):
             file, suffix = with_exif(image.visible_file, exif.tobytes()), ".jpg"

@@ -22,7 +22,7 @@ from rtgs.io.cameras.common_facts import Facts, Pair, common_facts
 from rtgs.io.cameras.nominal_rig import check_sizes, disagreements, nominal_rig
 from rtgs.io.cameras.protocol import CameraFormat, VisiblePicture
 from rtgs.io.cameras.registry import camera_format
-from rtgs.io.image_files import list_images, read_header
+from rtgs.io.image_files import IMAGE_FORMATS, list_images, read_header
 from rtgs.io.rig import read_rig, write_rig
 from rtgs.records.radiometry import ZERO_CELSIUS_K, CelsiusRadiometry
 
@@ -143,7 +143,7 @@ class _Reader:
                 f"{path}: under its own object parameters {cold:.1%} of its pixels give less than what is reflected and emitted on the "
                 "way. Correct them in the camera maker's program and save the file again, or remove this frame."
             )
-        with Image.open(io.BytesIO(visible.file)) as picture:
+        with Image.open(io.BytesIO(visible.file), formats=IMAGE_FORMATS) as picture:
             return Pair(name, path, shot, visible, picture.size)
 
     def _given(self, path: Path, name: str) -> Path | None:

@@ -24,7 +24,7 @@ def opened(path: Path) -> Iterator[Image.Image]:
         RtgsError: no such file, or it is no image, or it is cut off within its segments.
     """
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=("JPEG",)) as image:
             yield image
     except FileNotFoundError as error:
         raise RtgsError(f"{path}: no such file.") from error

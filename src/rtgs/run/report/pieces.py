@@ -67,7 +67,7 @@ def figure(path: Path, caption: str, *, sharp: bool = False) -> str:
     if not path.is_file():
         return ""
     try:
-        with Image.open(path) as opened:
+        with Image.open(path, formats=("PNG",)) as opened:
             image = opened.convert("RGB")
     except OSError as error:
         raise RtgsError(f"{path}: not a picture that can be read ({error})") from error

@@ -65,7 +65,7 @@ def _control(run: RunRecords, name: str) -> str:
     if not any(figures):
         return ""
     # The words fill the reference's place, which keeps each control under the picture that it is the control of.
-    with Image.open(picture(run, "thermal", name, "render")) as image:
+    with Image.open(picture(run, "thermal", name, "render"), formats=("PNG",)) as image:
         aspect = image.width / image.height
     words = "Control: the same thermal fit with the scale ignored, s = 1."
     figures.insert(0, f'<p class="control" style="flex:{aspect:.4f} 1 0">{words}</p>')
