@@ -6,11 +6,14 @@ import os
 import signal
 import threading
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
-from rtgs.base.events import ResultLine, WorkFinished, WorkProgress, WorkStarted
-from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c
+from rtgs.base.errors import RtgsError
+from rtgs.base.events import Event, ResultLine, WorkFinished, WorkProgress, WorkStarted
+from rtgs.cli import main
+from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 
 
 def test_sigterm_raises_where_the_work_is() -> None:
@@ -64,3 +67,33 @@ def test_another_thread_than_the_main_one_has_no_handler() -> None:
     thread.start()
     thread.join()
     assert seen == [before]
+
+
+@pytest.mark.parametrize(("stop", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
+@pytest.mark.parametrize("hidden_by", [SystemError, AttributeError, RtgsError, OSError])
+def test_a_stop_that_another_error_hides_is_still_a_stop(
+    stop: type[KeyboardInterrupt], code: int, hidden_by: type[Exception], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where a signal comes during an import or a callback from C: the caller sees an error of that code."""
+
+    def listener(event: Event) -> None:
+        if isinstance(event, WorkStarted):
+            try:
+                raise stop
+            except KeyboardInterrupt as error:
+                raise hidden_by("returned a result with an exception set") from error
+
+    with pytest.raises(SystemExit) as ended:
+        main(["synth", "--out", str(tmp_path / "capture"), "--frames", "3", "--size", "8"], listener)
+    assert ended.value.code == code
+    assert "stopped" in capsys.readouterr().err
+
+
+def test_an_error_without_a_stop_is_none() -> None:
+    try:
+        try:
+            raise ValueError
+        except ValueError as first:
+            raise RuntimeError from first
+    except RuntimeError as error:
+        assert stop_behind(error) is None

@@ -16,7 +16,7 @@ from rtgs import __version__
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, to_all
 from rtgs.cli.options import saved_settings
-from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c
+from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 from rtgs.cli.table import all_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
 
@@ -38,15 +38,17 @@ def main(arguments: Sequence[str] | None = None, listener: Listener | None = Non
     try:
         with sigterm_as_ctrl_c() as stopper:
             _run(arguments, to_all(listener or Terminal(), stopper))
-    except RtgsError as error:
-        _complain(str(error))
+    except (Exception, KeyboardInterrupt) as error:
+        if (stop := stop_behind(error)) is not None:
+            Console(stderr=True).print("stopped; the same command goes on from here")
+            sys.exit(143 if isinstance(stop, Terminated) else 130)
+        if isinstance(error, RtgsError):
+            _complain(str(error))
+        elif isinstance(error, OSError):  # a full disk, a folder that may not be written
+            _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        else:
+            raise
         sys.exit(2)
-    except OSError as error:  # a full disk, a folder that may not be written
-        _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-        sys.exit(2)
-    except KeyboardInterrupt as stop:
-        Console(stderr=True).print("stopped; the same command goes on from here")
-        sys.exit(143 if isinstance(stop, Terminated) else 130)
 
 
 def _run(arguments: Sequence[str], listener: Listener) -> None:

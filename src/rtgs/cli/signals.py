@@ -41,3 +41,18 @@ def sigterm_as_ctrl_c() -> Iterator[Listener]:
         yield listener
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def stop_behind(error: BaseException) -> KeyboardInterrupt | None:
+    """The Ctrl-C or SIGTERM that an error comes from, if any.
+
+    A signal that arrives while C code calls back, or while a module is being imported, reaches the caller as an error of that code.
+    """
+    seen: set[int] = set()
+    cause: BaseException | None = error
+    while cause is not None and id(cause) not in seen:
+        if isinstance(cause, KeyboardInterrupt):
+            return cause
+        seen.add(id(cause))
+        cause = cause.__cause__ or cause.__context__
+    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,8 +33,11 @@ def run(capture: Folder, out: Path, config: Annotated[RunConfig, Flat], listener
     with Pipeline.start(capture, out, config, listener) as pipeline:
         try:
             pipeline.run()
-        finally:
-            _report(pipeline)
+        except BaseException:
+            with suppress(Exception):  # the report of what is there must not hide why the work ended
+                _report(pipeline)
+            raise
+        _report(pipeline)
 
 
 def sfm(
