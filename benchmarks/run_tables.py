@@ -20,8 +20,8 @@ from rtgs.run.summary import MODEL_TITLES
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
+    return "\n".join([lines[0], "|---|" + "---:|" * (len(head) - 1), *lines[1:]])
 
 
 def scale_table(folder: RunFolder) -> str:
@@ -44,7 +44,7 @@ def score_table(evaluation: Evaluation) -> str:
         [MODEL_TITLES[key], *(SCORES[c].number(scores[c]) if c in scores else "" for c in columns)]
         for key, scores in known.items()
     ]
-    return table(["held out", *(SCORES[c].heading for c in columns)], rows)
+    return table(["held-out views", *(SCORES[c].heading for c in columns)], rows)
 
 
 def time_table(evaluation: Evaluation) -> str:

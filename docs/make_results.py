@@ -34,12 +34,14 @@ class Page:
         command: with {out}, {run} and {capture} for folders, {scene} for one of `scenes`; `rtgs …` or `python …`.
         file: where under {out} the command leaves its Markdown; None: it prints it.
         scenes: the command is run for each of these, and their tables stand below each other.
+        then: a second command that prints the tables, where the first prints none.
     """
 
     name: str
     command: str
     file: str | None = None
     scenes: tuple[str, ...] = ("",)
+    then: str = ""
 
 
 PAGES = {
@@ -63,8 +65,8 @@ PAGES = {
             "table3.md",
         ),
         Page("table3-arco", "rtgs experiment real {run} --out {out} --thermal.drift offset", "table3.md"),
-        Page("arco", "python benchmarks/run_tables.py {run}"),
-        Page("demo", "python benchmarks/run_tables.py {run}"),
+        Page("arco", "rtgs run {capture} --out {out}", then="python benchmarks/run_tables.py {out}"),
+        Page("demo", "rtgs demo --out {out}", then="python benchmarks/run_tables.py {out}/run"),
         Page("thermal-adam", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene}", scenes=SCENES),
         Page("thermal-truth", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene} --steps ''", scenes=SCENES),
         Page("thermal-rules", "python benchmarks/thermal_rules.py --out {out} --run {run}"),
@@ -84,6 +86,15 @@ def tables(text: str) -> str:
     """The Markdown tables in a command's output, one blank line between them, without the command's own provenance."""
     blocks = re.findall(r"(?:^\|.*\n?)+", text + "\n", flags=re.MULTILINE)
     return "\n\n".join(block.strip() for block in blocks if not block.startswith(f"| {HEADING} |"))
+
+
+def called(command: str) -> str:
+    """What a command prints. It runs in the repository's folder."""
+    words = shlex.split(command)
+    program = [sys.executable, "-m", "rtgs"] if words[0] == "rtgs" else [sys.executable]
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    done = subprocess.run([*program, *words[1:]], cwd=ROOT, env=environment, check=True, text=True, stdout=subprocess.PIPE)
+    return done.stdout
 
 
 def fill(page: str, content: str) -> str:
@@ -115,11 +126,8 @@ def main() -> None:
     found = []
     for scene in page.scenes:
         folders = {name: shlex.quote(str(value)) for name, value in needed.items()}
-        words = shlex.split(page.command.format(scene=scene, **folders))
-        program = [sys.executable, "-m", "rtgs"] if words[0] == "rtgs" else [sys.executable]
-        environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
-        done = subprocess.run([*program, *words[1:]], cwd=ROOT, env=environment, check=True, text=True, stdout=subprocess.PIPE)
-        table = tables((o.out / page.file).read_text(encoding="utf-8") if page.file else done.stdout)
+        printed = [called(command.format(scene=scene, **folders)) for command in (page.command, page.then) if command]
+        table = tables((o.out / page.file).read_text(encoding="utf-8") if page.file else printed[-1])
         if not table:
             sys.exit(f"{page.name}: the command printed no table")
         found.append(f"**{scene}**\n\n{table}" if scene else table)
