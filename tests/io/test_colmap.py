@@ -175,6 +175,12 @@ def test_a_rig_of_two_sensors_that_is_truncated(tmp_path: Path) -> None:
         path.write_bytes(whole)
 
 
+@pytest.mark.parametrize("change", [{"fl_x": 1e-9}, {"fl_y": 1e9}, {"cx": 1e4}, {"cy": -1e4}])
+def test_sparse_with_absurd_intrinsics(root: Path, change: dict[str, float]) -> None:
+    write_sparse(root, replace(RGB, **change))  # type: ignore[arg-type]
+    refused(root, "sparse/0: camera 1: ", next(iter(change)))
+
+
 def test_sparse_with_an_unknown_camera_model(root: Path) -> None:
     write_sparse(root, text=True)
     (root / "sparse" / "0" / "cameras.txt").write_text("1 FULL_OPENCV 64 48 60 61 32 24 0 0 0 0 0 0 0 0\n")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from numpy.lib.recfunctions import drop_fields
+from numpy.lib.recfunctions import append_fields, drop_fields
 from plyfile import PlyData, PlyElement
 
 from rtgs.base.errors import RtgsError
@@ -176,6 +176,17 @@ def test_error_names_file_and_field(tmp_path: Path, field: str, damage: str) -> 
     PlyData([PlyElement.describe(vertex, "vertex")]).write(str(tmp_path / "bad.ply"))
     with pytest.raises(RtgsError, match=rf"bad\.ply: field '{field}' is {damage}"):
         read_ply(tmp_path / "bad.ply")
+
+
+def test_a_filter_that_changes_the_model_is_refused(tmp_path: Path) -> None:
+    """Mip-Splatting draws its Gaussians larger and fainter than its PLY says on its own."""
+    path = tmp_path / "model.ply"
+    write_ply(path, model(1, 3))
+    data = PlyData.read(str(path))["vertex"].data
+    more = append_fields(data, "filter_3D", np.full(len(data), 0.1, np.float32), usemask=False)
+    PlyData([PlyElement.describe(more, "vertex")]).write(str(path))
+    with pytest.raises(RtgsError, match=r"model\.ply: has the property filter_3D of Mip-Splatting"):
+        read_ply(path)
 
 
 def test_wrong_number_of_harmonics(tmp_path: Path) -> None:

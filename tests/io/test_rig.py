@@ -176,6 +176,18 @@ WRONG_RIGS: list[tuple[Callable[[dict[str, Any]], Any], list[str]]] = [
     (lambda d: d["rgb"].pop("fl_x"), ["rig.json: rgb.fl_x is missing"]),
     (lambda d: d["rgb"].pop("k2"), ["rgb.k2 is missing", "write 0"]),
     (lambda d: d["thermal"].update(k1=0.1), ["thermal.k1 is given, but PINHOLE has no such term", "OPENCV"]),
+    (
+        lambda d: d["rgb"].update(k3=0.1),
+        ["rgb.k3 is given, but OPENCV has", "k3 of OPENCV_FISHEYE is another quantity", "fixed at 0"],
+    ),
+    (
+        lambda d: d["rgb"].update(model="OPENCV_FISHEYE", k3=0.0, k4=0.0),
+        ["rgb.p1 is given, but OPENCV_FISHEYE has no such term", "k1 to k4 alone"],
+    ),
+    (lambda d: d["thermal"].update(fl_x=1e-9), ["thermal.fl_x is 1e-09 pixels, for an image of 40×32"]),
+    (lambda d: d["thermal"].update(fl_y=1e9), ["thermal.fl_y is 1e+09 pixels, for an image of 40×32"]),
+    (lambda d: d["rgb"].update(cx=1e5), ["rgb.cx is 100000 pixels", "another image size"]),
+    (lambda d: d["rgb"].update(cy=-49), ["rgb.cy is -49 pixels"]),
     (lambda d: d["rgb"].update(cx="32"), ["rgb.cx is '32'", "finite number"]),
     (lambda d: d["rgb"].update(cx=float("nan")), ["rgb.cx is nan"]),
     (lambda d: d["thermal"].update(fl_y=-45), ["thermal.fl_y is -45", "above 0"]),

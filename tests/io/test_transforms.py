@@ -66,6 +66,13 @@ WRONG_TRANSFORMS: list[tuple[Callable[[dict[str, Any]], Any], list[str]]] = [
     (lambda d: d["frames"][2].update(transform_matrix="pose"), ["frames[2].transform_matrix", "not a 4×4"]),
     (lambda d: d["frames"].append(dict(d["frames"][0])), ["a second time", NAMES[0]]),
     (lambda d: d["frames"][2].update(fl_x=70.0) or d["frames"][1].update(fl_x=71.0), ["fl_x differs between frames"]),
+    (lambda d: d["frames"][2].update(fl_x=70.0), ["fl_x of a frame is 70.0, and fl_x of the whole file is 60.0"]),
+    (lambda d: d["frames"][1].update(mask_path="masks/1.png"), ["frames[1].mask_path is given", "Masks are not supported"]),
+    (lambda d: d.update(distortion_params=[0.1, 0, 0, 0, 0, 0]), ["distortion_params is given", "k1, k2"]),
+    (lambda d: d.update(rolling_shutter=[0, 0, 0.1, 0]), ["rolling_shutter is given"]),
+    (lambda d: d.update(k5=0.1), ["k5 is given"]),
+    (lambda d: d.update(is_fisheye=True), ["is_fisheye is given, and camera_model is 'OPENCV'"]),
+    (lambda d: d.update(fl_x=1e-9), ["camera.fl_x is 1e-09 pixels", "times the longer side"]),
     (lambda d: d.update(camera_model="EQUIRECTANGULAR"), ["camera.model is 'EQUIRECTANGULAR'", "PINHOLE"]),
     (lambda d: d.update(fl_x=-1.0), ["camera.fl_x is -1"]),
     (lambda d: (d.pop("fl_x"), d.update(camera_angle_x=4.0)), ["camera_angle_x is 4", "radians"]),
@@ -80,6 +87,23 @@ WRONG_TRANSFORMS: list[tuple[Callable[[dict[str, Any]], Any], list[str]]] = [
         ["camera positions coincide"],
     ),
 ]
+
+
+def test_is_fisheye_names_the_lens(root: Path) -> None:
+    """As instant-ngp has it: four terms of an equidistant lens, and no camera_model."""
+    write_poses(root)
+
+    def change(data: dict[str, Any]) -> None:
+        for key in ("camera_model", "p1", "p2"):
+            del data[key]
+        data.update(
+            is_fisheye=True, k1=0.01, k2=0.002, k3=0.0, k4=0.0, mask_path="", rolling_shutter=[0, 0, 0, 0], equirectangular=False
+        )
+
+    edit_transforms(root, change)
+    camera = load_capture(root).raw_rig.rgb
+    assert camera.model == "OPENCV_FISHEYE"
+    assert camera.distortion == (0.01, 0.002, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG_TRANSFORMS, ids=[said[0][:40] for _, said in WRONG_TRANSFORMS])

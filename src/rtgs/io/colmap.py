@@ -19,6 +19,7 @@ import pycolmap
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import write_json
 from rtgs.io.image_files import frame_name, in_thermal_folder
+from rtgs.io.rig import absurd_intrinsics
 from rtgs.maths.geometry import SE3, quat_from_rotation, rotation_from_quat
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
 from rtgs.records.capture import Capture, Poses, SparsePoints
@@ -298,4 +299,8 @@ def _camera_from_colmap(folder: Path, camera: pycolmap.Camera) -> Camera:
     fl_x, fl_y = params[0], params[n_focal - 1]
     if min(fl_x, fl_y) <= 0:
         raise RtgsError(f"{folder}: camera {camera.camera_id} has focal length {min(fl_x, fl_y):g}; it is above 0 pixels.")
-    return Camera(model, camera.width, camera.height, fl_x, fl_y, cx, cy, **lens)
+    found = Camera(model, camera.width, camera.height, fl_x, fl_y, cx, cy, **lens)
+    wrong = absurd_intrinsics(found)
+    if wrong:
+        raise RtgsError(f"{folder}: camera {camera.camera_id}: {wrong}")
+    return found

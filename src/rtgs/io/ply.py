@@ -148,6 +148,11 @@ def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float3
     data = ply["vertex"].data
     if len(data) == 0:
         raise RtgsError(f"{path}: holds no Gaussians")
+    if "filter_3D" in data.dtype.names:
+        raise RtgsError(
+            f"{path}: has the property filter_3D of Mip-Splatting, which changes opacities and sizes when a model is drawn. Merge it into "
+            "them with that project's create_fused_ply.py."
+        )
     names = set(data.dtype.names or ())
 
     def stacked(*fields: str) -> NDArray[np.float32]:

@@ -36,6 +36,7 @@ _ATMOSPHERE = tuple(field.name for field in fields(Atmosphere))
 _OBJECT = tuple(field.name for field in fields(ObjectParameters))
 _STD = ("baseline_length", "baseline_direction", "rotation_deg", "thermal_focal")
 _LONG_BASELINE_M = 2.0
+_FOCAL_OF_SIDE = (0.02, 1000.0)  # of the longer side: fields of view of 176° and of 0.06°
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,15 +158,50 @@ def camera_from_json(
         raise RtgsError(f"{path}: {where}.fl_x and fl_y differ, and {model} has one focal length. Use {model[7:]} instead.")
     for name in _LENS_TERMS:
         if name not in terms and data.get(name, 0) != 0:
-            fitting = [m for m, t in DISTORTION_OF_MODEL.items() if name in t]
-            raise RtgsError(
-                f"{path}: {where}.{name} is given, but {model} has no such term. Models that have: {', '.join(fitting)}."
-            )
+            raise RtgsError(f"{path}: {where}.{name} is given, but {model} has no such term. {_term_remedy(model, name)}")
     unknown = sorted(set(data) - {"model", *_SIZE_AND_PINHOLE, *_LENS_TERMS, *more_fields})
     if unknown:
         warnings.append(f"{path.name}: {', '.join(f'{where}.{u}' for u in unknown)} is not a known field and was ignored.")
     width, height = int(values.pop("width")), int(values.pop("height"))
-    return Camera(model=model, width=width, height=height, **values)
+    camera = Camera(model=model, width=width, height=height, **values)
+    wrong = absurd_intrinsics(camera)
+    if wrong:
+        raise RtgsError(f"{path}: {where}.{wrong}")
+    return camera
+
+
+def _term_remedy(model: str, name: str) -> str:
+    """What to do with a lens term that a model lacks. A fisheye's terms have the names of others and another meaning."""
+    fisheye = model == "OPENCV_FISHEYE"
+    fitting = [m for m, terms in DISTORTION_OF_MODEL.items() if name in terms and (m == "OPENCV_FISHEYE") == fisheye]
+    if fitting:
+        return f"Models that have: {', '.join(fitting)}."
+    if fisheye:
+        return "A fisheye calibration has k1 to k4 alone; p1 and p2 are those of OPENCV."
+    return (
+        f"No model of a lens that is no fisheye has it, and {name} of OPENCV_FISHEYE is another quantity. Calibrate again with {name} "
+        "fixed at 0 (cv2.CALIB_FIX_K3), or undistort the images."
+    )
+
+
+def absurd_intrinsics(camera: Camera) -> str | None:
+    """What no camera has, as the end of a message that begins with the field's place; None for a possible camera."""
+    longer = max(camera.width, camera.height)
+    for name in ("fl_x", "fl_y"):
+        value = getattr(camera, name)
+        if not _FOCAL_OF_SIDE[0] * longer <= value <= _FOCAL_OF_SIDE[1] * longer:
+            return (
+                f"{name} is {value:g} pixels, for an image of {camera.width}×{camera.height}; it is between {_FOCAL_OF_SIDE[0]:g} and "
+                f"{_FOCAL_OF_SIDE[1]:g} times the longer side. Is it in millimetres?"
+            )
+    for name, size in (("cx", camera.width), ("cy", camera.height)):
+        value = getattr(camera, name)
+        if not -size <= value <= 2 * size:
+            return (
+                f"{name} is {value:g} pixels, more than the image's size outside of an image of {camera.width}×{camera.height}. Is it of "
+                "another image size?"
+            )
+    return None
 
 
 def finite_number(path: Path, field: str, data: Mapping[str, Any], key: str) -> float:

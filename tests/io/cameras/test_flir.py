@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -193,6 +194,13 @@ def test_either_byte_order_everywhere(tmp_path: Path, directory_order: str, reco
     image = read_flir(jpeg(tmp_path / "a.jpg", flir_segments(fff(made, directory_order))))
     np.testing.assert_array_equal(image.counts, counts_of(3))
     assert image.radiometry.parameters == RADIOMETRY.parameters
+
+
+def test_air_outside_of_the_formula_names_the_file(tmp_path: Path) -> None:
+    record = bytearray(camera_record())
+    struct.pack_into("<f", record, 0x24, 1e6)  # the distance
+    with pytest.raises(RtgsError, match=r"a\.jpg: object\.distance_m 1e\+06.*transmission of air.*Correct the object parameters"):
+        read_flir(flir_jpeg(tmp_path / "a.jpg", camera=bytes(record)))
 
 
 def test_humidity_in_per_cent(tmp_path: Path) -> None:

@@ -254,7 +254,12 @@ def _radiometry(path: Path, camera: _Record) -> PlanckRadiometry:
         )
     except RtgsError as error:
         raise RtgsError(f"{path}: {error} The camera wrote no usable calibration into this file.") from error
-    return PlanckRadiometry(calibration, parameters)
+    try:
+        return PlanckRadiometry(calibration, parameters)
+    except RtgsError as error:
+        raise RtgsError(
+            f"{path}: {error} Correct the object parameters in the camera maker's program and save the file again."
+        ) from error
 
 
 def _celsius(kelvin: float) -> float:
