@@ -29,7 +29,7 @@ ARGUMENTS = {
     "eval": ["the run folder"],
     "render": ["--out", "--frames", "--viewpoint"],
     "export": ["--out", "--metres"],
-    "import": ["{flir,dji}", "--out", "--rgb", "--rig"],
+    "import": ["{flir,dji", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],
     "demo": ["--out"],
     "experiment": ["synthetic"],

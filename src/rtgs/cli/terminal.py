@@ -3,13 +3,34 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.text import Text
 
 from rtgs.base.events import Event, ResultLine, WarningLine, WorkFinished, WorkProgress, WorkStarted
 
 
+def clock(seconds: float | None) -> str:
+    """ "0:07", "6:26" or "1:02:03" of a number of seconds; "–:––" where it is not known."""
+    if seconds is None:
+        return "–:––"
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+class _Times(ProgressColumn):
+    """ "6:26 taken, 0:14 left"; once all is done only the time taken."""
+
+    max_refresh = 0.5  # seconds
+
+    def render(self, task: Task) -> Text:
+        if task.finished:
+            return Text(f"{clock(task.finished_time)} taken", style="progress.elapsed")
+        return Text(f"{clock(task.elapsed)} taken, {clock(task.time_remaining)} left", style="progress.elapsed")
+
+
 class Terminal:
-    """A listener that shows a bar with the time left while work goes on, and results and warnings a line each."""
+    """A listener that shows a bar with the time taken and left while work goes on, and results and warnings a line each."""
 
     def __init__(self) -> None:
         self._console = Console()
@@ -35,9 +56,7 @@ class Terminal:
             TextColumn("{task.description}"),
             BarColumn(bar_width=16),
             MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            _Times(),
             TextColumn("{task.fields[text]}", style="dim", markup=False),
             console=self._console,
         )

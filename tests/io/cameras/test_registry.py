@@ -10,10 +10,18 @@ from tests.helpers.radiometric_files import flir_jpeg
 
 from rtgs.base.errors import RtgsError
 from rtgs.io.cameras.import_folder import import_folder
+from rtgs.io.cameras.protocol import CameraFormat
 from rtgs.io.cameras.registry import MODULES, camera_format
 
 
 @pytest.mark.parametrize("name", MODULES)
+def test_each_maker_has_the_functions_of_a_format(name: str) -> None:
+    functions = [function for function in vars(CameraFormat) if not function.startswith("_")]
+    assert "read" in functions
+    assert all(callable(getattr(camera_format(name), function)) for function in functions)
+
+
+@pytest.mark.parametrize("name", ["flir", "dji"])
 def test_a_radiometric_file_is_recognised_and_a_plain_picture_is_not(name: str, tmp_path: Path) -> None:
     """FLIR's thermal data is in the files of both makers: DJI builds cameras around FLIR cores."""
     Image.new("RGB", (8, 6)).save(tmp_path / "plain.jpg")

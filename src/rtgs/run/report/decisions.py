@@ -17,7 +17,7 @@ _TITLES = {
     "gains": "Gain of each frame",
     "ridge": "Regularisation (ridge)",
 }
-_COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after", "Gain needed")
+_COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after", "Improvement needed")
 
 
 def decisions_section(run: RunRecords) -> str:
