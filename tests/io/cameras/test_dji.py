@@ -11,6 +11,7 @@ from tests.helpers.radiometric_files import (
     RADIOMETRY,
     SAMPLES,
     camera_exif,
+    camera_record,
     counts_of,
     encoded,
     fff,
@@ -129,6 +130,23 @@ def test_two_partners_of_one_number_are_refused(tmp_path: Path) -> None:
 def test_frame_names() -> None:
     assert frame_name(Path("a/DJI_1_0001_T.JPG")) == "DJI_1_0001"
     assert frame_name(Path("DJI_0001.jpg")) == "DJI_0001"
+
+
+def test_the_focal_length_belongs_to_the_counts_and_not_to_the_picture(tmp_path: Path) -> None:
+    """The picture of a thermal JPEG may be enlarged."""
+    exif = camera_exif(t271="DJI", t272="M30T")
+    exif.get_ifd(0x8769)[41989] = 40
+    path = jpeg(tmp_path / "a_T.JPG", [b"counts"], marker=0xE3, exif=exif)  # its picture is 32×24
+    Image.fromarray(np.linspace(0, 30, 12 * 16, dtype=np.float32).reshape(12, 16)).save(tmp_path / "a_T.tiff")
+    assert read_dji(path).focal_length_px == pytest.approx(40 * np.hypot(16, 12) / np.hypot(36, 24))
+    core = jpeg(tmp_path / "b.jpg", flir_segments(fff(records(visible=None, camera=_without_fov()))), exif=exif)
+    assert read_dji(core).focal_length_px == pytest.approx(40 * np.hypot(16, 12) / np.hypot(36, 24))
+
+
+def _without_fov() -> bytes:
+    record = bytearray(camera_record())
+    record[0x1B4:0x1B8] = bytes(4)
+    return bytes(record)
 
 
 def test_focal_length_from_the_35_mm_equivalent(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import flyr
 import numpy as np
 import pytest
 from flyr.thermogram import FlyrThermogram
+from numpy.typing import NDArray
 from PIL import Image
 from tests.helpers.radiometric_files import (
     FIELD_OF_VIEW_DEG,
@@ -201,6 +202,40 @@ def test_air_outside_of_the_formula_names_the_file(tmp_path: Path) -> None:
     struct.pack_into("<f", record, 0x24, 1e6)  # the distance
     with pytest.raises(RtgsError, match=r"a\.jpg: object\.distance_m 1e\+06.*transmission of air.*Correct the object parameters"):
         read_flir(flir_jpeg(tmp_path / "a.jpg", camera=bytes(record)))
+
+
+def smooth_counts() -> NDArray[np.uint16]:
+    """Counts of 20 … 45 °C that change slowly, with noise of a few counts."""
+    x, y = np.meshgrid(np.linspace(0, 1, THERMAL_SIZE[0]), np.linspace(0, 1, THERMAL_SIZE[1]))
+    noise = np.random.default_rng(0).normal(0, 3, x.shape)
+    return (RADIOMETRY.counts(20 + 15 * x + 10 * y) + noise).round().astype(np.uint16)
+
+
+@pytest.mark.parametrize("swapped", [True, False])
+def test_either_byte_order_within_a_png(tmp_path: Path, swapped: bool) -> None:
+    """Neighbouring pixels tell it."""
+    counts = smooth_counts()
+    body = encoded(counts.byteswap() if swapped else counts, "PNG")
+    image = read_flir(flir_jpeg(tmp_path / "a.jpg", raw=image_record("<", THERMAL_SIZE, body)))
+    np.testing.assert_array_equal(image.counts, counts)
+
+
+def test_a_byte_order_that_cannot_be_told_is_refused(tmp_path: Path) -> None:
+    low = np.random.default_rng(0).integers(0, 256, THERMAL_SIZE[::-1]).astype(np.uint16)
+    path = flir_jpeg(tmp_path / "a.jpg", low + 256 * low)  # both bytes are one
+    with pytest.raises(RtgsError, match=r"a\.jpg: the byte order of its raw thermal image cannot be told"):
+        read_flir(path)
+
+
+def test_a_window_that_is_none_needs_no_temperature(tmp_path: Path) -> None:
+    record = bytearray(camera_record())
+    struct.pack_into("<ff", record, 0x30, 0.0, 1.0)
+    parameters = read_flir(flir_jpeg(tmp_path / "a.jpg", camera=bytes(record))).radiometry.parameters
+    assert parameters.window_transmission == 1.0
+    assert parameters.window_c == parameters.atmospheric_c
+    struct.pack_into("<ff", record, 0x30, 0.0, 0.9)
+    with pytest.raises(RtgsError, match=r"object\.window_c is -273\.15"):
+        read_flir(flir_jpeg(tmp_path / "b.jpg", camera=bytes(record)))
 
 
 def test_humidity_in_per_cent(tmp_path: Path) -> None:

@@ -64,6 +64,24 @@ def photographs(tmp_path: Path) -> Path:
     return tmp_path / "photographs"
 
 
+@pytest.mark.parametrize("suffix", [".RJPG", ".rjpg", ".RJPEG"])
+def test_other_suffixes_of_radiometric_jpegs(photographs: Path, tmp_path: Path, suffix: str) -> None:
+    (photographs / f"{NAMES[1]}.jpg").rename(photographs / f"{NAMES[1]}{suffix}")
+    assert import_folder("flir", photographs, tmp_path / "out").frames == 3
+
+
+def test_surroundings_that_are_hardly_possible_are_noted(photographs: Path, tmp_path: Path) -> None:
+    """As when 298, meant in kelvin, is set in °C."""
+    odd = replace(RADIOMETRY, parameters=replace(RADIOMETRY.parameters, reflected_c=298.0, emissivity=0.99))
+    hot = odd.counts(np.random.default_rng(0).uniform(40, 90, THERMAL_SIZE[::-1])).round().astype(np.uint16)
+    assert import_folder("flir", photographs, tmp_path / "usual").notes == ()
+    flir_jpeg(photographs / f"{NAMES[2]}.jpg", hot, camera=camera_record(odd))
+    notes = import_folder("flir", photographs, tmp_path / "out").notes
+    assert any(
+        f"reflected_c is 298 °C in 1 of 3 frames ({NAMES[2]}.jpg first). Was it meant in kelvin?" in note for note in notes
+    )
+
+
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
     write_rig(tmp_path / "rig.json", RIG, RelativeCounts())

@@ -67,7 +67,7 @@ def read_dji(path: Path) -> DjiImage:
     """
     if is_flir(path):
         flir = read_flir(path)
-        return DjiImage(path, flir.counts, flir.radiometry, flir.model, flir.focal_length_px or focal_length_px(path))
+        return DjiImage(path, flir.counts, flir.radiometry, flir.model, flir.focal_length_px or _focal_of(path, flir.counts))
     model = _camera_of_closed_data(path)
     if model is None:
         raise RtgsError(f"{path}: is no radiometric JPEG by DJI. The thermal one of a set is usually named …_T.JPG.")
@@ -87,7 +87,7 @@ def read_dji(path: Path) -> DjiImage:
         raise RtgsError(
             f"{converted}: its lowest value is {temperature_c.min():g}, no temperature in °C. Convert {path.name} again."
         )
-    return DjiImage(path, temperature_c, CELSIUS, model, focal_length_px(path))
+    return DjiImage(path, temperature_c, CELSIUS, model, _focal_of(path, temperature_c))
 
 
 def visible_partner(path: Path) -> Path | None:
@@ -120,11 +120,20 @@ def frame_name(path: Path) -> str:
     return re.sub(r"_T$", "", path.stem, flags=re.IGNORECASE)
 
 
-def focal_length_px(path: Path) -> float | None:
-    """From EXIF's 35 mm equivalent, taken over the diagonal: nominal, good to a few per cent. None when absent."""
+def focal_length_px(path: Path, size: tuple[int, int] | None = None) -> float | None:
+    """From EXIF's 35 mm equivalent, taken over the diagonal: nominal, good to a few per cent. None when absent.
+
+    `size` is the width and height of the image that the pixels belong to; the JPEG's own picture where none is given. The picture of a
+    thermal JPEG may be enlarged: 1280×1024 for 640×512 counts.
+    """
     with opened(path) as image:
         equivalent_mm = float(image.getexif().get_ifd(EXIF_IFD).get(_FOCAL_LENGTH_35MM) or 0)
-        return math.hypot(*image.size) * equivalent_mm / _DIAGONAL_35MM if equivalent_mm > 0 else None
+        return math.hypot(*(size or image.size)) * equivalent_mm / _DIAGONAL_35MM if equivalent_mm > 0 else None
+
+
+def _focal_of(path: Path, counts: NDArray[np.generic]) -> float | None:
+    height, width = counts.shape
+    return focal_length_px(path, (width, height))
 
 
 def _camera_of_closed_data(path: Path) -> str | None:

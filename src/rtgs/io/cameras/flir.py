@@ -38,6 +38,7 @@ from rtgs.records.radiometry import ZERO_CELSIUS_K, Atmosphere, ObjectParameters
 _RAW, _VISIBLE, _CAMERA, _FUSION = 0x01, 0x0E, 0x20, 0x2A
 _HEADER_BYTES, _ENTRY_BYTES, _IMAGE_HEADER_BYTES = 64, 32, 32
 _DIGITAL_ZOOM, _LAST_GPS_TAG = 41988, 31
+_CLEARLY_SMOOTHER = 2.0  # the wrong byte order makes neighbouring pixels differ about a hundred times more
 
 
 @dataclass(frozen=True)
@@ -220,8 +221,7 @@ def _counts(path: Path, data: bytes) -> NDArray[np.uint16]:
     body = data[_IMAGE_HEADER_BYTES:]
     counts: NDArray[np.uint16]
     if body.startswith(b"\x89PNG"):
-        # PNG is big-endian by definition; FLIR writes its numbers into it the other way round.
-        counts = _decode(path, "raw thermal image", body).astype(np.uint16).byteswap()
+        counts = _in_byte_order(path, _decode(path, "raw thermal image", body).astype(np.uint16))
     elif body.startswith(b"\xff\xd8"):
         raise RtgsError(
             f"{path}: its raw thermal image is JPEG-compressed, which is not supported. Save it again with FLIR Tools or Ignite."
@@ -236,8 +236,31 @@ def _counts(path: Path, data: bytes) -> NDArray[np.uint16]:
     return counts
 
 
+def _in_byte_order(path: Path, stored: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The counts of a PNG. PNG is big-endian by definition; most cameras write their numbers into it the other way round.
+
+    Neighbouring pixels of a photograph differ little. In the wrong order the low byte weighs most, and they differ by a lot.
+    """
+    swapped = stored.byteswap()
+    rough, rough_swapped = (_roughness(counts) for counts in (stored, swapped))
+    if max(rough, rough_swapped) < _CLEARLY_SMOOTHER * min(rough, rough_swapped):
+        raise RtgsError(
+            f"{path}: the byte order of its raw thermal image cannot be told, because both orders give an image as rough as the other. "
+            "Save it again with FLIR Tools or Ignite, or remove this frame."
+        )
+    return swapped if rough_swapped <= rough else stored
+
+
+def _roughness(counts: NDArray[np.uint16]) -> float:
+    """Mean difference of neighbouring pixels, in counts."""
+    numbers = counts.astype(np.float64)
+    return float(sum(np.abs(np.diff(numbers, axis=axis)).sum() for axis in (0, 1)) / numbers.size)
+
+
 def _radiometry(path: Path, camera: _Record) -> PlanckRadiometry:
     emissivity, distance, reflected, air, window, transmission = (camera.number("f", 0x20 + 4 * i) for i in range(6))
+    if transmission == 1 and not window > 0:
+        window = air  # there is no window, and its temperature was left empty
     humidity = camera.number("f", 0x3C)
     r1, b, f = (camera.number("f", 0x58 + 4 * i) for i in range(3))
     atmosphere = Atmosphere(*(camera.number("f", 0x70 + 4 * i) for i in range(5)))

@@ -24,7 +24,10 @@ from rtgs.io.cameras.protocol import CameraFormat, VisiblePicture
 from rtgs.io.cameras.registry import camera_format
 from rtgs.io.image_files import IMAGE_FORMATS, list_images, read_header
 from rtgs.io.rig import read_rig, write_rig
-from rtgs.records.radiometry import ZERO_CELSIUS_K, CelsiusRadiometry
+from rtgs.records.radiometry import ZERO_CELSIUS_K, CelsiusRadiometry, PlanckRadiometry
+
+_SUFFIXES = (".jpg", ".jpeg", ".rjpg", ".rjpeg")
+_USUAL_SURROUNDINGS_C = (-80.0, 100.0)  # from a clear sky to a hot machine room
 
 
 @dataclass(frozen=True)
@@ -71,12 +74,23 @@ def import_folder(
     reader = _Reader(camera_format(camera), rgb, None if rgb is None else list_images(rgb))
     files, notes = _frames(reader.format, folder)
 
+    unusual: dict[str, list[str]] = {}
+
     def pairs(done: int) -> Iterator[Pair]:
         for i, path in enumerate(files):
-            yield reader.read(path)
+            pair = reader.read(path)
+            if done == 0:
+                for parameter in _unusual_surroundings(pair.shot.radiometry):
+                    unusual.setdefault(parameter, []).append(path.name)
+            yield pair
             report(done + i + 1, 2 * len(files), path.name)
 
     facts = common_facts(pairs(0))
+    notes += [
+        f"{parameter} in {len(names)} of {len(files)} frames ({names[0]} first). Was it meant in kelvin? Correct it under thermal.object "
+        "of the capture's rig.json if it is wrong."
+        for parameter, names in unusual.items()
+    ]
     if rig is not None and rig_file is not None:
         check_sizes(rig, rig_file, facts)
         notes += disagreements(rig_file, facts)
@@ -94,9 +108,21 @@ def import_folder(
     return ImportResult(len(files), tuple(missing), tuple(notes))
 
 
+def _unusual_surroundings(radiometry: CelsiusRadiometry) -> list[str]:
+    """Object parameters that are temperatures, and hardly those of any surroundings."""
+    if not isinstance(radiometry, PlanckRadiometry):
+        return []
+    p = radiometry.parameters
+    given = {"reflected_c": p.reflected_c, "atmospheric_c": p.atmospheric_c}
+    if p.window_transmission < 1:
+        given["window_c"] = p.window_c
+    coldest, hottest = _USUAL_SURROUNDINGS_C
+    return [f"{name} is {value:g} °C" for name, value in given.items() if not coldest <= value <= hottest]
+
+
 def _frames(camera: CameraFormat, folder: Path) -> tuple[list[Path], list[str]]:
     """The folder's radiometric files in name order, and what to say of the others."""
-    jpegs = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in (".jpg", ".jpeg") and not p.name.startswith(".")]
+    jpegs = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".")]
     frames = [p for p in jpegs if camera.recognises(p)]
     if not frames:
         raise RtgsError(
