@@ -6,11 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.helpers.tiny_run import all_complete, complete_stages, recorded
+from tests.helpers.tiny_run import all_complete, complete_stages, recorded, state
 
 from rtgs.base.errors import RtgsError
 from rtgs.run.folder import RunFolder, StageEntry
 from rtgs.run.stages import STAGES
+from rtgs.run.swap import new_results
 
 READERS: dict[str, Callable[[RunFolder], object]] = {
     "stages.json": RunFolder.entries,
@@ -45,24 +46,38 @@ def test_a_run_without_stages_has_none(run: Path) -> None:
     assert RunFolder(run).entries() == {} and complete_stages(run) == []
 
 
-def test_a_stage_that_begins_takes_the_later_ones_with_it(run: Path) -> None:
+def test_a_stage_that_begins_leaves_results_and_removes_half_done_work(run: Path) -> None:
     folder = RunFolder(run)
     assert all_complete(run)
     (run / "rgb.checkpoint").touch()
+    before = state(run, but=("stages.json",))
     folder.begin(STAGES[2:], "other")
-    assert complete_stages(run) == ["sfm", "rgb"]
-    assert folder.entries()["scale"] == StageEntry(begun="other") and "thermal" not in folder.entries()
-    assert (run / "rgb.checkpoint").exists()  # no half-done work of this stage
+    assert folder.entries()["scale"].begun == "other" and state(run, but=("stages.json",)) == before
     folder.begin(STAGES[1:], "first")
-    assert not (run / "rgb.checkpoint").exists() and (run / "rgb.ply").exists()  # dear, and nobody reads it now
+    assert not (run / "rgb.checkpoint").exists()
     (run / "rgb.checkpoint").touch()
     folder.begin(STAGES[1:], "first")  # it goes on
-    assert (run / "rgb.checkpoint").exists()
-    folder.finish(STAGES[1], "first", {"rgb": 2.0})
-    assert not (run / "rgb.checkpoint").exists() and folder.seconds()["rgb"] == 2.0
+    assert (run / "rgb.checkpoint").exists() and all_complete(run)
+    folder.withdraw(STAGES[1])
+    assert folder.entries()["rgb"].begun == "" and all_complete(run)
+
+
+def test_a_stage_that_ends_takes_the_later_ones_with_it(run: Path) -> None:
+    folder, names = RunFolder(run), ("rgb.ply", "rgb.json", "scene")
+    (run / "rgb.checkpoint").touch()
+    folder.begin(STAGES[1:], "first")
+    with new_results(run) as new:
+        for name in ("rgb.ply", "rgb.json"):
+            (new / name).write_text(f"new {name}")
+        folder.finish(STAGES[1:], "first", {"rgb": 2.0})
+    assert complete_stages(run) == ["sfm"] and folder.seconds()["rgb"] == 2.0
+    assert folder.entries()["rgb"] == StageEntry("first", seconds={"rgb": 2.0}) and "scale" not in folder.entries()
+    assert (run / "rgb.ply").read_text() == "new rgb.ply" and all((run / name).exists() for name in names)
+    for name in ("rgb.checkpoint", "scale.json", "thermal.ply", "metrics.json", "renders"):
+        assert not (run / name).exists(), name
 
 
 def test_a_read_only_command_says_which_stage_is_missing(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    RunFolder(run).begin(STAGES[3:], "other")
+    (run / "thermal.json").unlink()
     assert recorded(["export", str(run), "--out", str(run.parent / "out")])[1] == 2
     assert "thermal.json: missing; `rtgs run`" in capsys.readouterr().err

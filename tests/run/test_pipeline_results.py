@@ -43,6 +43,7 @@ from rtgs.run.folder import RunFolder
 from rtgs.run.job import Job
 from rtgs.run.pipeline import Pipeline
 from rtgs.run.stages import STAGES, TITLES, Stage
+from rtgs.run.swap import new_results
 from rtgs.scale.records import Refinement
 
 
@@ -58,7 +59,8 @@ def test_a_sensors_pattern_is_kept_beside_its_model(finished: Path, tmp_path: Pa
     assert found is not None and found.dtype == np.float32
     np.testing.assert_array_equal(found, pattern)
     assert not list(tmp_path.glob(".*"))
-    folder.begin(STAGES[3:], "other")
+    with new_results(tmp_path):
+        folder.finish(STAGES[3:], "other", {})
     assert not (tmp_path / "thermal_pattern.tiff").exists()
 
 
@@ -144,10 +146,10 @@ def test_the_refined_rig_is_what_later_stages_see(capture: Path, run: Path) -> N
             seen.setdefault(stage.name, []).append(job.scene.rig)
             stage.work(job)
             if stage.name == "scale":
-                found = job.folder.read_scale()
+                found = job.results.read_scale()
                 found = replace(found, refinement=Refinement.of(found.sfm_per_metre, [], np.eye(1), refined))
-                job.folder.write_scale(found)
-                job.folder.write_scene(found.refined_scene(job.scene), found.sfm_per_metre)
+                job.results.write_scale(found)
+                job.results.write_scene(found.refined_scene(job.scene), found.sfm_per_metre)
 
         return replace(stage, work=work)
 

@@ -62,7 +62,10 @@ def from_json(cls: type[T], data: Any, where: str) -> T:
     missing = [n for n, f in fields.items() if n not in values and f.default is f.default_factory is dataclasses.MISSING]
     if missing:
         raise RtgsError(f"{where}: field {missing[0]!r} of {cls.__name__} is missing; it was written by another version.")
-    return cls(**values)
+    try:
+        return cls(**values)
+    except RtgsError as error:  # a record that checks its fields does not know where they are from
+        raise RtgsError(f"{where}: {error}") from None
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:

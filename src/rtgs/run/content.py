@@ -73,7 +73,7 @@ class Hashes:
     def of(self, path: Path, name: str) -> str:
         """SHA-256 of a file that is remembered as `name`."""
         status, now_ns = path.stat(), time.time_ns()
-        known = self._known.get(name)
+        known = self._used.get(name) or self._known.get(name)
         if known is None or (known.size, known.mtime_ns, known.ctime_ns) != _status(status):
             known = _Known(*_status(status), _sha256(path))
         if now_ns - max(status.st_mtime_ns, status.st_ctime_ns) > self._settled_ns:

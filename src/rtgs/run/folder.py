@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from rtgs.run import model_files
 from rtgs.run.config_file import SavedRun, is_run, read_config, write_config
 from rtgs.run.records import CaptureSummary
 from rtgs.run.stages import Stage
+from rtgs.run.swap import MAKING, remove, replace_results
 from rtgs.scale import ScaleEstimate
 
 
@@ -29,7 +29,7 @@ class StageEntry:
     """A stage in `stages.json`.
 
     Attributes:
-        fingerprint: hash of everything the result depends on; "" where the stage is not complete.
+        fingerprint: hash of everything that the results in the folder depend on; "" where there are none.
         begun: the fingerprint of work that has begun and not ended; "" where there is none.
         seconds: piece of work → how long it took.
     """
@@ -43,8 +43,8 @@ class RunFolder:
     """The files of a run. Reading needs no lock; whoever writes holds `rtgs.run.lock.locked`.
 
     A stage is complete once it is listed in `stages.json` with the fingerprint of everything it depends on (the capture's content, its
-    own settings and those of the stages before it), and while what it made is there. The entry is written last, so a stage that
-    was killed is not complete: it is only listed as begun.
+    own settings and those of the stages before it), and while what it made is there. Results and entry are put in place together, so a
+    stage that was killed is only listed as begun, and the results of an earlier call are as they were.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,13 +79,16 @@ class RunFolder:
         """
         return read_config(self.path)
 
-    def load_capture(self, listener: Listener = nobody) -> Capture:
+    def load_capture(self, listener: Listener = nobody, saved: SavedRun | None = None) -> Capture:
         """The run's capture. Its warnings go to the listener.
+
+        Args:
+            saved: which capture and which settings; None: those of `config.json`.
 
         Raises:
             RtgsError: no run here, or a capture that has gone or cannot be read.
         """
-        saved = self.read_config()
+        saved = self.read_config() if saved is None else saved
         self.check_capture(saved)
         capture = load_capture(saved.capture, rgb_max_side=saved.config.rgb_max_side)
         for warning in capture.warnings:
@@ -133,27 +136,39 @@ class RunFolder:
         return done and all((self.path / name).exists() for name in stage.makes)
 
     def begin(self, stages: Sequence[Stage], fingerprint: str) -> None:
-        """Begin the first of these stages. From here on neither it nor the later ones are complete, and what they made is removed.
+        """Begin the first of these stages. What it and the later ones have made stays until the new results are whole.
 
-        Otherwise a report, a render or an export would put old models beside a new scale. Half-done work of the first stage is
-        kept if it has this very fingerprint.
+        Half-done work is removed, unless it is the first stage's and has this very fingerprint.
         """
-        entries = self.entries()
-        first, names = stages[0], {stage.name for stage in stages}
-        goes_on = entries.get(first.name, StageEntry()).begun == fingerprint
-        earlier = {name: entry for name, entry in entries.items() if name not in names}
-        self._write_entries({**earlier, first.name: StageEntry(begun=fingerprint)})
+        entries, first = self.entries(), stages[0]
+        entry = entries.get(first.name, StageEntry())
+        self._write_entries({**entries, first.name: replace(entry, begun=fingerprint)})
         for stage in stages:
-            gone = {*stage.makes, *stage.may_make} - set(stage.keeps)
-            gone |= set() if goes_on and stage is first else set(stage.half_done)
-            for name in gone:
-                _remove(self.path / name)
+            for name in stage.half_done if stage is not first or entry.begun != fingerprint else ():
+                remove(self.path / name)
 
-    def finish(self, stage: Stage, fingerprint: str, seconds: Mapping[str, float]) -> None:
-        """List the stage as complete."""
-        self._write_entries({**self.entries(), stage.name: StageEntry(fingerprint, seconds=seconds)})
+    def withdraw(self, stage: Stage) -> None:
+        """Give up work that the stage has begun: what it made before counts as before. Does nothing where no work has begun."""
+        entries = self.entries()
+        entry = entries.get(stage.name, StageEntry())
+        if not entry.begun:
+            return
+        self._write_entries({**entries, stage.name: replace(entry, begun="")})
         for name in stage.half_done:
-            _remove(self.path / name)
+            remove(self.path / name)
+
+    def finish(self, stages: Sequence[Stage], fingerprint: str, seconds: Mapping[str, float]) -> None:
+        """Put the new results of the first of these stages in place, and list the stage as complete.
+
+        What the later stages have made is removed. Otherwise a report, a render or an export would put old models beside a new scale.
+        """
+        stage, names = stages[0], {stage.name for stage in stages}
+        earlier = {name: entry for name, entry in self.entries().items() if name not in names}
+        new = RunFolder(self.path / MAKING)
+        new._write_entries({**earlier, stage.name: StageEntry(fingerprint, seconds=seconds)})
+        replace_results(self.path, [name for stage in stages for name in (*stage.makes, *stage.may_make)])
+        for name in stage.half_done:
+            remove(self.path / name)
 
     def seconds(self) -> dict[str, float]:
         """How long each piece of work of the complete stages took."""
@@ -169,14 +184,16 @@ class RunFolder:
         with write_whole(self.path / "scene") as temporary:
             write_scene(temporary, scene, sfm_per_metre)
 
-    def read_scene(self, capture: Capture) -> Scene:
+    def read_scene(self, capture: Capture, *, refined: bool = True) -> Scene:
         """The scene; with the rig as refined, once the scale stage has refined it.
 
-        Whoever reads a run's scene so has the rig that its scale belongs to. A scale stage that begins again removes `scale.json`, and
-        so starts from the rig as calibrated.
+        Whoever reads a run's scene so has the rig that its scale belongs to.
+
+        Args:
+            refined: False for the rig as calibrated in any case.
         """
         scene = read_scene(self.path / "scene", capture)
-        return self.read_scale().refined_scene(scene) if (self.path / "scale.json").exists() else scene
+        return self.read_scale().refined_scene(scene) if refined and (self.path / "scale.json").exists() else scene
 
     def write_summary(self, scene: Scene) -> None:
         """`capture_summary.json`, for the report."""
@@ -225,13 +242,6 @@ class RunFolder:
     def read_json(self, name: str) -> dict[str, Any]:
         """Raises `RtgsError` where the file is missing or no JSON."""
         return read_run_json(self.path / name)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def refuse_own_folders(folder: RunFolder, scene: Scene, out: Path) -> None:

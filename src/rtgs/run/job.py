@@ -14,6 +14,7 @@ from rtgs.config import RunConfig
 from rtgs.records.capture import Capture
 from rtgs.records.scene import Scene
 from rtgs.run.folder import RunFolder
+from rtgs.run.stages import Stage
 
 
 @dataclass(eq=False)
@@ -21,10 +22,14 @@ class Job:
     """One stage of one run.
 
     Attributes:
+        folder: the run, for reading what the stages before have made. Results of an earlier call of this stage are still there.
+        results: where this stage writes to; all of it is put in place when the stage has ended.
         seconds: piece of work → how long it took; `work` fills it.
     """
 
     folder: RunFolder
+    results: RunFolder
+    stage: Stage
     config: RunConfig
     capture: Capture
     listener: Listener
@@ -33,7 +38,7 @@ class Job:
     @cached_property
     def scene(self) -> Scene:
         """As it is on disk when the stage begins: a resumed run sees the very same numbers as one that was not interrupted."""
-        return self.folder.read_scene(self.capture)
+        return self.folder.read_scene(self.capture, refined=self.stage.sees_refined_rig)
 
     @contextmanager
     def work(self, name: str, title: str) -> Iterator[Progress]:

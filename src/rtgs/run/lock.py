@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import recover
+from rtgs.run.swap import complete_replacement, remove
 
 try:
     import fcntl
@@ -24,13 +24,16 @@ _TEMPORARY = ".*.tmp"  # of `write_whole`
 
 @contextmanager
 def locked(run: Path) -> Iterator[None]:
-    """Hold the run folder, which is made if there is none, for this process alone. What killed writers left in it is removed.
+    """Hold the run folder for this process alone. What killed writers left in it is removed.
+
+    The folder is made if there is none, and is gone afterwards if it is still empty then.
 
     The lock is on the open file and not on its existence, so the file of a process that was killed locks nobody out.
 
     Raises:
         RtgsError: another process holds it; the message names that process.
     """
+    found = run.exists()
     run.mkdir(parents=True, exist_ok=True)
     path = run / NAME
     file = _take(run, path)
@@ -40,6 +43,9 @@ def locked(run: Path) -> Iterator[None]:
     finally:
         path.unlink(missing_ok=True)  # before it is released: nobody else may hold what is removed
         os.close(file)
+        if not found:
+            with suppress(OSError):  # there are results in it
+                run.rmdir()
 
 
 def is_leftover(path: Path) -> bool:
@@ -82,17 +88,15 @@ def _said_of(holder: list[str]) -> str:
 
 
 def _remove_leftovers(run: Path) -> None:
-    """Temporary files of `write_whole` whose process was killed."""
+    """Temporary files of `write_whole` whose process was killed. Results that were being replaced are put in place."""
+    complete_replacement(run)
     for path in run.glob(_TEMPORARY):
         *name, writer = path.name.removesuffix(".tmp").removeprefix(".").split(".")
         if writer == "old":
             recover(run / ".".join(name))
         elif writer.isdigit() and int(writer) != os.getpid() and _is_alive(int(writer)):
             continue  # a report is written without the lock
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        remove(path)
 
 
 def _is_alive(process: int) -> bool:

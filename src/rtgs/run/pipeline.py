@@ -21,20 +21,28 @@ from rtgs.run.folder import RunFolder
 from rtgs.run.job import Job
 from rtgs.run.lock import is_leftover, locked
 from rtgs.run.stages import STAGES, Stage, StageName, fingerprints
+from rtgs.run.swap import new_results
 
 
 class Pipeline:
     """A run folder and the stages that fill it. `start`, `open` and `change` give one, with the run's lock held in their `with` block.
 
     Attributes:
-        folder: the run; its `config.json` says which capture and which settings.
+        folder: the run.
         listener: gets the events of the work.
         stages: what is done, in this order.
+        saved: which capture and which settings. They are written to `config.json` when the first work begins, and so when they have been
+            found to be usable.
+        accepted: whether they have been written.
     """
 
-    def __init__(self, folder: RunFolder, listener: Listener = nobody, stages: Sequence[Stage] = STAGES) -> None:
+    def __init__(
+        self, folder: RunFolder, listener: Listener = nobody, stages: Sequence[Stage] = STAGES, saved: SavedRun | None = None
+    ) -> None:
         self.folder, self.listener, self.stages = folder, listener, tuple(stages)
-        self.saved = folder.read_config()
+        self.saved = folder.read_config() if saved is None else saved
+        self.accepted = False
+        self._hashes = Hashes(folder.path)
 
     @staticmethod
     @contextmanager
@@ -59,14 +67,14 @@ class Pipeline:
         if not capture.is_dir():
             raise RtgsError(f"{capture}: no such folder; a capture holds rgb/, thermal/ and rig.json.")
         _check_settings(config, folder)
+        config = replace(config, rgb_ply=config.rgb_ply and config.rgb_ply.resolve())
         with locked(out):
-            hashes = Hashes(out)
-            content = read_content(capture, config.rgb_ply and config.rgb_ply.resolve(), hashes)
+            pipeline = Pipeline(folder, listener, stages, SavedRun(capture.resolve(), config))
+            content = pipeline.content()
             if folder.exists():
                 _check_same_capture(capture, content, folder)
-            folder.write_config(SavedRun(capture.resolve(), config, content.capture_hash))
-            hashes.write()
-            yield Pipeline(folder, listener, stages)
+            pipeline.saved = replace(pipeline.saved, content=content.capture_hash)
+            yield pipeline
 
     @staticmethod
     @contextmanager
@@ -91,13 +99,23 @@ class Pipeline:
         _check_settings(replace(folder.read_config().config, **settings), folder)
         with locked(folder.path):
             saved = folder.read_config()
-            folder.write_config(replace(saved, config=replace(saved.config, **settings)))
-            yield Pipeline(folder, listener)
+            config = replace(saved.config, **settings)
+            config = replace(config, rgb_ply=config.rgb_ply and config.rgb_ply.resolve())
+            yield Pipeline(folder, listener, saved=replace(saved, config=config))
 
     @cached_property
     def capture(self) -> Capture:
         """The run's capture, loaded when it is first asked for."""
-        return self.folder.load_capture(self.listener)
+        return self.folder.load_capture(self.listener, self.saved)
+
+    def content(self) -> Content:
+        """What the capture, and the model to import, hold as of now.
+
+        Raises:
+            RtgsError: one of them has gone.
+        """
+        self.folder.check_capture(self.saved)
+        return read_content(self.saved.capture, self.saved.config.rgb_ply, self._hashes)
 
     def fingerprints(self) -> dict[StageName, str]:
         """What each stage depends on as of now, as hashes.
@@ -105,30 +123,52 @@ class Pipeline:
         Raises:
             RtgsError: the capture, or the model to import, has gone.
         """
-        self.folder.check_capture(self.saved)
-        hashes = Hashes(self.folder.path)
-        content = read_content(self.saved.capture, self.saved.config.rgb_ply, hashes)
-        hashes.write()
-        return fingerprints(content, self.saved.config, self.stages)
+        return fingerprints(self.content(), self.saved.config, self.stages)
 
     def run(self, last: StageName = "evaluate", *, again: bool = False) -> None:
         """Do every stage up to `last` that is not complete; with `again`, `last` itself in any case.
 
+        Input is checked before anything of the run is changed. Where the first work is refused all the same, the run has its earlier
+        settings again.
+
         Raises:
             RtgsError: the capture has gone, or a stage cannot use what it is given.
         """
-        now = self.fingerprints()  # before anything of the run is given up
+        now, earlier = self.fingerprints(), self.folder.read_config() if self.folder.exists() else None
         for i, stage in enumerate(self.stages):
             fingerprint = now[stage.name]
             if self.folder.is_complete(stage, fingerprint) and not (again and stage.name == last):
+                self.folder.withdraw(stage)
                 self.listener(ResultLine(f"{stage.name}: done before"))
             else:
-                self.folder.begin(self.stages[i:], fingerprint)
-                job = Job(self.folder, self.saved.config, self.capture, self.listener)
-                stage.work(job)
-                self.folder.finish(stage, fingerprint, job.seconds)
+                capture = self.capture  # is refused here if it cannot be read
+                self._accept()
+                try:
+                    self._do(self.stages[i:], fingerprint, capture)
+                except RtgsError:
+                    if earlier is not None:
+                        self.folder.withdraw(stage)
+                        self.folder.write_config(earlier)
+                    raise
+                earlier = None  # there are results of these settings now
             if stage.name == last:
-                return
+                break
+        self._accept()
+
+    def _accept(self) -> None:
+        """Write down the settings, which have turned out to be usable."""
+        if not self.accepted:
+            self.folder.write_config(self.saved)
+            self._hashes.write()
+            self.accepted = True
+
+    def _do(self, stages: Sequence[Stage], fingerprint: str, capture: Capture) -> None:
+        """Do the first of these stages."""
+        self.folder.begin(stages, fingerprint)
+        with new_results(self.folder.path) as new:
+            job = Job(self.folder, RunFolder(new), stages[0], self.saved.config, capture, self.listener)
+            stages[0].work(job)
+            self.folder.finish(stages, fingerprint, job.seconds)
 
 
 def _check_same_capture(capture: Path, content: Content, folder: RunFolder) -> None:

@@ -33,8 +33,7 @@ class Stage:
         work: does it, from what the stages before it have left in the run folder.
         makes: files and folders in the run folder that it leaves there.
         may_make: likewise, depending on the capture.
-        keeps: those of `makes` that stay until they are replaced when the stage begins again. They are dear, and nobody reads them while
-            the stage is not complete.
+        sees_refined_rig: the rig as the scale stage has refined it; else as calibrated.
         half_done: files from which work that was cut off goes on.
         parts: further pieces of work with their titles, which are timed by themselves.
     """
@@ -46,8 +45,8 @@ class Stage:
     work: Callable[[Job], None]
     makes: tuple[str, ...]
     may_make: tuple[str, ...] = ()
-    keeps: tuple[str, ...] = ()
     half_done: tuple[str, ...] = ()
+    sees_refined_rig: bool = False
     parts: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -56,8 +55,8 @@ def _find_poses(job: Job) -> None:
 
     with job.work("sfm", TITLES["sfm"]) as progress:
         scene = run_sfm(job.capture, job.config.sfm, progress=progress)
-    job.folder.write_scene(scene, None)
-    job.folder.write_summary(scene)
+    job.results.write_scene(scene, None)
+    job.results.write_summary(scene)
     job.say(f"sfm: {len(scene.frames)} of {len(job.capture.frames)} frames registered, {len(scene.points):,} points")
     for name, reason in scene.failures.items():
         job.say(f"  {name}: {reason}")
@@ -80,7 +79,7 @@ def _make_rgb_model(job: Job) -> None:
     else:
         with job.work("rgb", TITLES["rgb"]) as progress:
             model = fit_rgb(scene, job.config.rgb, checkpoint=job.folder.checkpoint, progress=progress, snapshot=snapshot)
-    job.folder.write_rgb(model)
+    job.results.write_rgb(model)
     held_out = model.history.get("held_out_psnr")
     job.say(f"rgb: {len(model.gaussians):,} Gaussians" + (f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else ""))
 
@@ -88,11 +87,11 @@ def _make_rgb_model(job: Job) -> None:
 def _find_scale(job: Job) -> None:
     from rtgs.scale import estimate_scale
 
-    scene, model = job.scene, job.folder.read_rgb()  # the rig as calibrated: no scale.json is there to refine it
+    scene, model = job.scene, job.folder.read_rgb()
     with job.work("scale", TITLES["scale"]) as progress:
         estimate = estimate_scale(scene, model, job.config.scale, progress=progress)
-    job.folder.write_scale(estimate)
-    job.folder.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
+    job.results.write_scale(estimate)
+    job.results.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
     interval = f" (95 %: {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g})" if estimate.ci95 else ""
     job.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per metre{interval}, {estimate.status}")
     if estimate.reason:
@@ -114,10 +113,10 @@ def _fit_temperatures(job: Job) -> None:
     with job.work("thermal", TITLES["thermal"]) as progress:
         model = fit(sfm_per_metre, progress)
         model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress))
-    job.folder.write_thermal(model)
+    job.results.write_thermal(model)
     with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
         naive = fit(1.0, progress)
-    job.folder.write_thermal(naive, "thermal_naive")
+    job.results.write_thermal(naive, "thermal_naive")
     job.say(f"thermal: {len(model.gaussians):,} Gaussians with a temperature")
 
 
@@ -131,9 +130,9 @@ def _score_held_out_views(job: Job) -> None:
     networks, notes = available(["alexnet"])
     lpips = networks.get("alexnet")
     with job.work("evaluate", TITLES["evaluate"]) as progress:
-        scores = evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=folder.renders, progress=progress)
+        scores = evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=job.results.renders, progress=progress)
     scores = replace(scores, notes=tuple(notes), timings_s={**folder.seconds(), **job.seconds})
-    scores.write(folder.path / "metrics.json")
+    scores.write(job.results.path / "metrics.json")
     for line in metric_lines(scores):
         job.say(line)
 
@@ -146,7 +145,6 @@ STAGES: tuple[Stage, ...] = (
         inputs=lambda content: [content.files, content.cameras],
         work=_find_poses,
         makes=("scene", "capture_summary.json"),
-        keeps=("scene",),
     ),
     Stage(
         name="rgb",
@@ -155,7 +153,6 @@ STAGES: tuple[Stage, ...] = (
         inputs=lambda content: content.rgb_ply,
         work=_make_rgb_model,
         makes=("rgb.ply", "rgb.json"),
-        keeps=("rgb.ply",),
         half_done=("rgb.checkpoint",),
     ),
     Stage(
@@ -174,6 +171,7 @@ STAGES: tuple[Stage, ...] = (
         work=_fit_temperatures,
         makes=("thermal.ply", "thermal.json", "thermal_naive.ply", "thermal_naive.json"),
         may_make=("thermal_pattern.tiff", "thermal_naive_pattern.tiff"),
+        sees_refined_rig=True,
         parts={"thermal_naive": "control: thermal model at scale 1"},
     ),
     Stage(
@@ -184,6 +182,7 @@ STAGES: tuple[Stage, ...] = (
         work=_score_held_out_views,
         makes=("metrics.json",),
         may_make=("renders",),
+        sees_refined_rig=True,
     ),
 )
 

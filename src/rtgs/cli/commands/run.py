@@ -34,8 +34,9 @@ def run(capture: Folder, out: Path, config: Annotated[RunConfig, Flat], listener
         try:
             pipeline.run()
         except BaseException:
-            with suppress(Exception):  # the report of what is there must not hide why the work ended
-                _report(pipeline)
+            if pipeline.accepted:  # else nothing has changed
+                with suppress(Exception):  # the report of what is there must not hide why the work ended
+                    _report(pipeline)
             raise
         _report(pipeline)
 

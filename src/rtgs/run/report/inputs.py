@@ -26,7 +26,16 @@ def inputs_section(run: RunRecords) -> str:
         }
     inside = facts(values | {"rtgs": run.version}) + _settings(run)
     absent = [name for name, part in (("config.json", run.settings), ("capture_summary.json", summary)) if part is None]
+    if run.older:
+        inside += f"<p>{html.escape(_older(run))}</p>"
     return section("What was run", inside + (missing(run, " and ".join(absent)) if absent else ""))
+
+
+def _older(run: RunRecords) -> str:
+    stages = ", ".join(run.older)
+    return (
+        f"Results of earlier settings or of an earlier capture: {stages}. They are shown until `{run.command}` has replaced them."
+    )
 
 
 def _settings(run: RunRecords) -> str:

@@ -15,6 +15,7 @@ from rtgs.records.decision import Decision
 from rtgs.records.radiometry import Unit
 from rtgs.run.config_file import read_config
 from rtgs.run.model_files import ThermalFile
+from rtgs.run.folder import RunFolder
 from rtgs.run.records import CaptureSummary
 from rtgs.scale import ScaleEstimate
 
@@ -29,6 +30,7 @@ class RunRecords:
         path: the run folder.
         capture: the capture's folder, from `config.json`. settings, version: likewise.
         decisions: what the thermal stage decided by itself, from `thermal.json`.
+        older: stages whose results are of earlier settings or of an earlier capture, and are being made again.
     """
 
     path: Path
@@ -39,6 +41,7 @@ class RunRecords:
     scale: ScaleEstimate | None
     evaluation: Evaluation | None
     decisions: tuple[Decision, ...]
+    older: tuple[str, ...] = ()
 
     @staticmethod
     def read(run: Path) -> RunRecords:
@@ -58,6 +61,7 @@ class RunRecords:
             scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
             decisions=thermal.decisions if thermal else (),
+            older=_being_made_again(RunFolder(run)),
         )
 
     @property
@@ -89,3 +93,10 @@ class RunRecords:
 
 def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
     return read(path) if path.is_file() else None
+
+
+def _being_made_again(run: RunFolder) -> tuple[str, ...]:
+    """The first stage that has begun again, and the later ones; none where no stage has."""
+    entries = {name: entry for name, entry in run.entries().items() if entry.fingerprint}
+    again = [name for name, entry in entries.items() if entry.begun not in ("", entry.fingerprint)]
+    return tuple(entries)[list(entries).index(again[0]) :] if again else ()

@@ -1,0 +1,68 @@
+"""New results of a run are made beside the old ones, and take their places together once they are whole.
+
+A crash leaves the old results or the new ones: once the folder of new results has its second name, the list in it says all that is still
+to be done, and doing it twice changes nothing.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rtgs.base.json_records import read_run_json, write_json
+
+MAKING = ".next.tmp"  # new results that are being made
+WHOLE = ".whole.tmp"  # new results that are whole; some of them may have been moved already
+_GONE = "gone.json"  # names of old results that nothing replaces
+_LAST = "stages.json"  # says which results are complete, so it is moved when they are there
+
+
+@contextmanager
+def new_results(run: Path) -> Iterator[Path]:
+    """An empty folder for new results. What has not been given to `replace_results` is removed when the block ends."""
+    folder = run / MAKING
+    remove(folder)
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        remove(folder)
+
+
+def replace_results(run: Path, gone: Sequence[str]) -> None:
+    """Put what lies in the folder of `new_results` in the place of old files and folders of the same names.
+
+    Args:
+        gone: names of old results that are removed. They are removed first.
+    """
+    new = run / MAKING
+    write_json(new / _GONE, [name for name in gone if not (new / name).exists()])
+    new.rename(run / WHOLE)
+    complete_replacement(run)
+
+
+def complete_replacement(run: Path) -> None:
+    """Do what is left of a `replace_results` that was killed. Does nothing where there was none."""
+    new = run / WHOLE
+    if not (new / _GONE).exists():
+        remove(new)
+        return
+    for name in read_run_json(new / _GONE):
+        remove(run / name)
+    for path in sorted(new.iterdir(), key=lambda path: path.name == _LAST):
+        if path.name == _GONE:
+            continue
+        if path.is_dir():
+            remove(run / path.name)
+        path.replace(run / path.name)
+    remove(new)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with what is in it; or nothing, where there is nothing."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
