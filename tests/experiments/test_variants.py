@@ -14,8 +14,6 @@ def test_rows_have_keys_of_their_own_and_valid_settings(rows: tuple[Variant, ...
     assert len({v.key for v in rows}) == len(rows) and rows[0] is REFERENCE_ROW
     config = scene_config(CONFIG, "lego")
     captures = [v.capture(config) for v in rows]
-    for capture in captures:
-        capture.check()
     assert len({(*sorted(map(str, vars(c).items())), v.inverted, v.frames) for c, v in zip(captures, rows, strict=True)}) == len(
         rows
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from rtgs.base.errors import RtgsError
+from rtgs.config.ranges import Range, check_ranges
 from rtgs.config.rgb import RgbConfig
 from rtgs.config.synthetic import SCENES, SceneName
 from rtgs.config.thermal import ThermalConfig
@@ -24,18 +24,21 @@ class SyntheticExperimentConfig:
     """"1": the paper's Table I, six scenes × five seeds; "2": its Table II, what goes wrong with images and calibration; "beyond": fewer
     frames, more noise, inverted contrast, low resolution, a scene that does not show its scale; "ablation": the search's defaults beside
     other values"""
-    size: int = 400
+    size: Annotated[int, Range(32, 10**5)] = 400
     """width and height of all images, in pixels"""
-    frames: int = 50
+    frames: Annotated[int, Range(8, 10**5)] = 50
     """pairs a scene; every eighth is held out and not seen by any method"""
     scenes: tuple[SceneName, ...] = SCENES[:6]
     """which scenes"""
-    seeds: int = 5
+    seeds: Annotated[int, Range(1, 10**5)] = 5
     """trials a scene: each draws the start, the rig's direction and rotation, and the thermal noise"""
     rgb: RgbConfig = field(default_factory=lambda: RgbConfig(quality="fast"))
     """training of the RGB models, one a scene"""
-    workers: int | None = None
+    workers: Annotated[int | None, Range(1, 10**4)] = None
     """processes; None: one a core"""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
     @property
     def tables(self) -> tuple[SyntheticTable, ...]:
@@ -43,11 +46,7 @@ class SyntheticExperimentConfig:
         return SYNTHETIC_TABLES if self.table == "all" else (self.table,)
 
     def check(self) -> None:
-        """Raises `RtgsError` where a field is out of its range."""
-        for name, least in (("size", 32), ("frames", 8), ("seeds", 1), ("workers", 1)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise RtgsError(f"{name}: {value} is too small; it must be at least {least}")
+        """Raises `RtgsError` where no scene is named, or one twice."""
         if not self.scenes:
             raise RtgsError(f"scenes: none is named; there are {', '.join(SCENES)}")
         if len(set(self.scenes)) < len(self.scenes):
@@ -60,19 +59,20 @@ class ManualConfig:
 
     frames: tuple[str, str] | None = None
     """two frames A and B: their RGB cameras are `metres` apart"""
-    metres: float | None = None
+    metres: Annotated[float | None, Range(above=0)] = None
     """the length"""
-    pixels: tuple[float, float, float, float, float, float, float, float] | None = None
+    pixels: Annotated[tuple[float, float, float, float, float, float, float, float] | None, Range()] = None
     """not the cameras but two points P and Q are `metres` apart: x and y of P, then of Q, in the RGB file of A; the same in B's"""
 
+    def __post_init__(self) -> None:
+        check_ranges(self, "manual")
+
     def check(self) -> None:
-        """Raises `RtgsError` where half of it is missing, or a length is none."""
+        """Raises `RtgsError` where half of it is missing."""
         if (self.frames is None) != (self.metres is None) or (self.pixels is not None and self.frames is None):
             raise RtgsError("--manual: a length needs --manual.frames A B and --manual.metres M, and --manual.pixels needs both.")
         if self.frames is not None and self.frames[0] == self.frames[1]:
             raise RtgsError(f"--manual.frames: {self.frames[0]} is named twice; a length needs two frames.")
-        if self.metres is not None and not (math.isfinite(self.metres) and self.metres > 0):
-            raise RtgsError(f"--manual.metres is {self.metres}; it is a positive number.")
 
 
 @dataclass(frozen=True)
@@ -85,20 +85,21 @@ class RealExperimentConfig:
     """row "MASt3R": file of its weights; its package has to be on PYTHONPATH"""
     depth_model: Path | None = None
     """row "Metric depth": folder of a model for transformers"""
-    plane_m: float = 1.0
+    plane_m: Annotated[float, Range(above=0)] = 1.0
     """row "Planar": distance of its plane from the thermal camera, in the unit of the rig's baseline"""
-    region: tuple[int, int, int, int] | None = None
+    region: Annotated[tuple[int, int, int, int] | None, Range(0)] = None
     """left, top, right and bottom in thermal pixels: its mean temperature is shown beside the thermal image's"""
     region_frame: str | None = None
     """held-out frame of the region; None: the first"""
     thermal: ThermalConfig = field(default_factory=lambda: ThermalConfig(drift="off"))
     """the thermal fit of every row, without drift: "auto" decides row by row, and what a frame has of its own can hide a wrong scale"""
 
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
     def check(self) -> None:
-        """Raises `RtgsError` where a field is out of its range or a file is missing."""
+        """Raises `RtgsError` where half of a setting, or a file, is missing."""
         self.manual.check()
-        if not (math.isfinite(self.plane_m) and self.plane_m > 0):
-            raise RtgsError(f"--plane-m is {self.plane_m}; it is a positive number.")
         if self.region is None and self.region_frame is not None:
             raise RtgsError("--region-frame: says where a --region is, and there is none.")
         for name, path in (("--mast3r-weights", self.mast3r_weights), ("--depth-model", self.depth_model)):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
+from rtgs.config.ranges import Range, check_ranges
 from rtgs.config.rgb import RgbConfig
 from rtgs.config.scale import ScaleConfig
 from rtgs.config.sfm import SfmConfig
@@ -15,7 +17,7 @@ from rtgs.config.thermal import ThermalConfig
 class RunConfig:
     """Settings of a run, stage by stage."""
 
-    rgb_max_side: int = 960
+    rgb_max_side: Annotated[int, Range(16, 10**5)] = 960
     """RGB images are reduced to this many pixels on their longer side."""
     rgb_ply: Path | None = None
     """A trained 3DGS model in the same world frame, to use instead of training one."""
@@ -27,3 +29,6 @@ class RunConfig:
     """The metric scale."""
     thermal: ThermalConfig = field(default_factory=ThermalConfig)
     """The thermal model."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from rtgs.config.ranges import Range, check_ranges
 
 DriftKind = Literal["off", "offset", "gain-offset"]
 DriftSetting = Literal["auto", DriftKind]
@@ -18,15 +20,18 @@ class ThermalConfig:
     drift: DriftSetting = "auto"
     """Drift of each photograph (linear solver): an offset, or a gain and an offset. "auto" decides it on validation frames, which are
     training frames that are left out of the fit meanwhile."""
-    sh_degree: int = 1
+    sh_degree: Annotated[int, Range(0, 3)] = 1
     """Highest band of the harmonics. Emission depends on the direction only weakly."""
-    steps: int = 1000
+    steps: Annotated[int, Range(0, 10**7)] = 1000
     """Optimisation steps, one image each."""
-    learning_rate: float = 1e-2
+    learning_rate: Annotated[float, Range(above=0, most=10)] = 1e-2
     """Adam's rate for the constant band. It falls tenfold over the fit; higher bands have a twentieth of it."""
-    ssim_weight: float = 0.0
+    ssim_weight: Annotated[float, Range(0, 100)] = 0.0
     """Loss = ℓ1 + this · (1 − SSIM)."""
-    initial_noise: float = 0.0
+    initial_noise: Annotated[float, Range(0, 100)] = 0.0
     """Standard deviation of the initial coefficients; 0 starts at the middle of the range."""
-    seed: int = 0
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """Seed of the frames' order and of the initial noise."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "thermal")

@@ -86,9 +86,8 @@ def write_capture(out: Path, config: SynthConfig, *, progress: Callable[[int, in
     `out` is replaced. `progress` is called as (frames done, frames in all).
 
     Raises:
-        RtgsError: a field of `config` is out of range, or `out` is a file or a folder that holds something else.
+        RtgsError: `out` is a file or a folder that holds something else.
     """
-    config.check()
     out = Path(out)
     _clear(out)
     out.mkdir(parents=True, exist_ok=True)

@@ -51,7 +51,6 @@ def test_manual_scale_from_points_in_files_with_a_lens(model: str) -> None:
     [
         (ManualConfig(("f01", "f02")), "--manual.metres"),
         (ManualConfig(("f01", "f01"), 1.0), "named twice"),
-        (ManualConfig(("f01", "f02"), -1.0), "positive"),
         (ManualConfig(pixels=(1, 2, 3, 4, 5, 6, 7, 8)), "needs both"),
     ],
 )

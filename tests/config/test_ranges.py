@@ -1,0 +1,108 @@
+"""Every numeric setting has a range, which is checked and shown."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import rtgs.config
+from rtgs.base.errors import RtgsError
+from rtgs.base.events import nobody
+from rtgs.cli import main
+from rtgs.cli.table import all_commands, experiment_commands
+from rtgs.config import ManualConfig, RunConfig
+from rtgs.config.ranges import Range, ranges_of
+
+CONFIGS = [c for name in rtgs.config.__all__ for c in [getattr(rtgs.config, name)] if dataclasses.is_dataclass(c)]
+
+
+def kinds(hint: Any) -> set[type]:
+    """int and float, where they occur in a type."""
+    inner = [kinds(part) for part in typing.get_args(hint) if not isinstance(part, str | Range)]
+    return ({hint} & {int, float}).union(*inner)
+
+
+NUMERIC = [(c, name) for c in CONFIGS for name, hint in typing.get_type_hints(c).items() if kinds(hint)]
+
+
+def with_number(hint: Any, value: float, second: bool) -> Any:
+    """The value, in the tuple that the type asks for."""
+    if typing.get_origin(hint) is tuple:
+        parts = [a for a in typing.get_args(hint) if a is not Ellipsis]
+        if typing.get_origin(parts[0]) is tuple:
+            return ((0.5, value),) if second else ((value, 2),)
+        return tuple([value] * len(parts))
+    tuples = [a for a in typing.get_args(hint) if typing.get_origin(a) is tuple]
+    return with_number(tuples[0], value, second) if tuples else value
+
+
+def outside(allowed: Range) -> Iterator[float]:
+    """Numbers just outside of a range."""
+    yield from (math.nan, math.inf, -math.inf)
+    yield from (limit for limit in (allowed.above, allowed.below) if limit is not None)
+    if allowed.least is not None:
+        yield allowed.least - 1
+    if allowed.most is not None:
+        yield allowed.most + 1
+
+
+def test_there_are_settings() -> None:
+    assert len(CONFIGS) == 10 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
+
+
+@pytest.mark.parametrize(("config", "name"), NUMERIC, ids=lambda v: getattr(v, "__name__", v))
+def test_every_numeric_setting_has_a_range_and_keeps_it(config: type, name: str) -> None:
+    allowed, hint = ranges_of(config)[name], typing.get_type_hints(config)[name]
+    for second, part in ((False, allowed), (True, allowed.then)):
+        for value in outside(part) if part else ():
+            with pytest.raises(RtgsError, match=rf"{name} is .*; it is "):
+                config(**{name: with_number(hint, value, second)})
+    config()  # the defaults are in their ranges
+
+
+def test_limits_themselves() -> None:
+    assert Range(1, 3).holds(1) and Range(1, 3).holds(3) and not Range(1, 3).holds(4)
+    assert not Range(above=0).holds(0) and Range(above=0).holds(1e-300) and not Range(0, below=1).holds(1)
+    assert str(Range(0, 1, then=Range(1, 64))) == "at least 0 and at most 1, then at least 1 and at most 64"
+    assert str(Range()) == "any finite number"
+    with pytest.raises(RtgsError, match=r"manual\.metres is -1\.0; it is above 0"):
+        ManualConfig(("a", "b"), -1.0)
+
+
+@pytest.mark.parametrize("arguments", [["run"], ["synth"], ["experiment", "synthetic"], ["experiment", "real"]])
+def test_help_shows_every_range(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    commands = {**all_commands(RunConfig(), nobody), **experiment_commands(nobody)}
+    with pytest.raises(SystemExit) as stop:
+        main([*arguments, "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert stop.value.code in (0, None)
+
+    def shown(config: Any) -> Iterator[str]:
+        for allowed in ranges_of(config.__class__).values():
+            yield str(allowed)
+        for field in dataclasses.fields(config):
+            if dataclasses.is_dataclass(getattr(config, field.name)):
+                yield from shown(getattr(config, field.name))
+
+    function: Any = commands[arguments[-1]]
+    keywords = {**getattr(function.func, "keywords", {}), **function.keywords}
+    expected = sorted(shown(keywords["config"]))
+    assert expected
+    for allowed in set(expected):
+        assert text.count(f"; {allowed})") >= expected.count(allowed), allowed
+
+
+def test_the_command_line_refuses_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for flag, value in (("--rgb.sh-degree", "9"), ("--rgb.ssim-weight", "nan"), ("--scale.max-frames", "0")):
+        with pytest.raises(SystemExit) as stop:
+            main(["run", "capture", "--out", "run", flag, value])
+        error = capsys.readouterr().err
+        assert stop.value.code == 2 and value in error and error.startswith("error: ") and error.count("\n") == 1
