@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import EIO
 from pathlib import Path
 
 
@@ -17,7 +18,7 @@ def write_whole(path: Path) -> Iterator[Path]:
     A folder cannot replace another in one step; `recover` mends what a crash between the two steps leaves.
 
     Raises:
-        OSError: as the writing does; `path` is then as it was, and nothing is left beside it.
+        OSError: as the writing does, with `path` as its file name; `path` is then as it was, and nothing is left beside it.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     _remove(temporary)
@@ -34,6 +35,11 @@ def write_whole(path: Path) -> Iterator[Path]:
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
             temporary.replace(path)
+    except OSError as error:
+        if error.filename is None or str(error.filename) == str(temporary):
+            # An error of a write, as on a full disk, names no file. NumPy's has no number either.
+            raise OSError(error.errno or EIO, error.strerror or str(error), str(path)) from error
+        raise
     finally:
         _remove(temporary)
 

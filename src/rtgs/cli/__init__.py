@@ -6,8 +6,11 @@ Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one 
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Sequence
+from errno import EDQUOT, ENOSPC
+from pathlib import Path
 
 import tyro
 from rich.console import Console
@@ -45,7 +48,7 @@ def main(arguments: Sequence[str] | None = None, listener: Listener | None = Non
         if isinstance(error, RtgsError):
             _complain(str(error))
         elif isinstance(error, OSError):  # a full disk, a folder that may not be written
-            _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+            _complain(f"{error.filename}: {error.strerror}{_free_space(error)}" if error.filename else str(error))
         else:
             raise
         sys.exit(2)
@@ -56,6 +59,14 @@ def _run(arguments: Sequence[str], listener: Listener) -> None:
     if arguments[:1] == ["experiment"]:
         table, prog, about, arguments = experiment_commands(listener), "rtgs experiment", _ABOUT_EXPERIMENT, arguments[1:]
     tyro.extras.subcommand_cli_from_dict(table, prog=prog, description=about, args=arguments or ["--help"])
+
+
+def _free_space(error: OSError) -> str:
+    """What is left on a disk that is full."""
+    if error.errno not in (ENOSPC, EDQUOT):
+        return ""
+    folder = Path(error.filename).parent
+    return f" ({shutil.disk_usage(folder).free / 1e6:,.1f} MB are free there)" if folder.is_dir() else ""
 
 
 def _complain(text: str) -> None:

@@ -5,6 +5,7 @@ Every picture is uint8 `[H, W, 3]` RGB. These are for screens only; nothing is e
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -152,10 +153,20 @@ def side_by_side(pictures: Sequence[Picture], labels: Sequence[str]) -> Picture:
 
 def save_png(path: Path, picture: Picture) -> None:
     """Write uint8 `[H, W]` or `[H, W, 3]`; `path` appears whole or not at all. Its folder is made."""
-    path = Path(path)
+    _save(Path(path), picture, "PNG")
+
+
+def save_tiff(path: Path, values: NDArray) -> None:
+    """Write counts, temperatures or depths `[H, W]` as they are; `path` appears whole or not at all. Its folder is made."""
+    _save(path, values, "TIFF")
+
+
+def _save(path: Path, values: NDArray, file_format: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
+    buffer = io.BytesIO()
+    Image.fromarray(values).save(buffer, format=file_format)  # to a file, Pillow overlooks a write that a full disk cuts short
     with write_whole(path) as temporary:
-        Image.fromarray(picture).save(temporary, format="PNG")
+        temporary.write_bytes(buffer.getbuffer())
 
 
 def _edges(image: NDArray, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -205,8 +206,10 @@ class Training:
             "frames": self.frame_optimizer.state(),
             "gradients": (self.gradients.total, self.gradients.count),
         }
+        buffer = io.BytesIO()
+        torch.save(state, buffer)  # to a file on a full disk, torch raises a RuntimeError that says nothing of the disk
         with write_whole(path) as temporary:
-            torch.save(state, temporary)
+            temporary.write_bytes(buffer.getbuffer())
 
     def restore(self, path: Path) -> None:
         """Continue from a saved state.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from rtgs.base.files import write_whole
 from rtgs.io.colmap import write_scene
 from rtgs.io.ply import write_ply
 from rtgs.io.transforms import write_transforms
@@ -37,7 +38,8 @@ def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[
     scaled = scaled_scene(scene, factor)
     files = {name: f"rgb/{name}.png" for name in scaled.world_from_rgb}
     write_transforms(out / "transforms.json", scene.rig.rgb, scaled.world_from_rgb, files)
-    write_scene(out / "scene", scaled, scale.sfm_per_metre * factor)
+    with write_whole(out / "scene") as temporary:
+        write_scene(temporary, scaled, scale.sfm_per_metre * factor)
     return [out / name for name in ("rgb.ply", "thermal.ply", "transforms.json", "scene")]
 
 

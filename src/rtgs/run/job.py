@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 from rtgs.base.events import Listener, ResultLine, WarningLine, long_work
 from rtgs.base.progress import Progress
@@ -15,6 +16,7 @@ from rtgs.records.capture import Capture
 from rtgs.records.scene import Scene
 from rtgs.run.folder import RunFolder
 from rtgs.run.stages import Stage
+from rtgs.run.swap import remove
 
 
 @dataclass(eq=False)
@@ -47,6 +49,16 @@ class Job:
         with long_work(self.listener, name, title) as progress:
             yield progress
         self.seconds[name] = time.perf_counter() - start
+
+    @contextmanager
+    def work_files(self, name: str) -> Iterator[Path]:
+        """A place in the run folder for files that are removed when the block ends. Nothing is there yet."""
+        folder = self.folder.path / f".{name}.tmp"
+        remove(folder)
+        try:
+            yield folder
+        finally:
+            remove(folder)
 
     def say(self, text: str) -> None:
         """A line of result."""

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from PIL import Image
 
-from rtgs.base.files import write_whole
 from rtgs.base.json_records import read_record, write_json
+from rtgs.images.pictures import save_tiff
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.models import GaussianTemperatures, RgbModel, SensorModel, ThermalModel
 from rtgs.records.decision import Decision
@@ -65,8 +65,7 @@ def write_thermal(run: Path, model: ThermalModel, name: str) -> None:
     pattern = None
     if model.sensor.pattern is not None:
         pattern = f"{name}_pattern.tiff"
-        with write_whole(run / pattern) as temporary:
-            Image.fromarray(model.sensor.pattern).save(temporary, format="TIFF")
+        save_tiff(run / pattern, model.sensor.pattern)
     write_json(
         run / f"{name}.json",
         ThermalFile(

@@ -53,8 +53,8 @@ class Stage:
 def _find_poses(job: Job) -> None:
     from rtgs.sfm.poses import run_sfm
 
-    with job.work("sfm", TITLES["sfm"]) as progress:
-        scene = run_sfm(job.capture, job.config.sfm, progress=progress)
+    with job.work("sfm", TITLES["sfm"]) as progress, job.work_files("sfm") as folder:
+        scene = run_sfm(job.capture, job.config.sfm, work_dir=folder, progress=progress)
     job.results.write_scene(scene, None)
     job.results.write_summary(scene)
     job.say(f"sfm: {len(scene.frames)} of {len(job.capture.frames)} frames registered, {len(scene.points):,} points")

@@ -9,11 +9,10 @@ from typing import Literal
 
 import numpy as np
 import torch
-from PIL import Image
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
-from rtgs.images.pictures import palette, save_png, to_picture, with_colour_bar
+from rtgs.images.pictures import palette, save_png, save_tiff, to_picture, with_colour_bar
 from rtgs.records.radiometry import PlanckRadiometry
 from rtgs.records.scene import Scene
 from rtgs.renderer import render
@@ -81,7 +80,7 @@ def render_views(
             depth_m = np.where(alpha > 0.5, view.depth.numpy() / alpha * scale.metres_per_sfm, np.nan)
         for kind, values in (("thermal", temperature), ("depth", depth_m)):
             path = out / f"{name}.{kind}.tiff"
-            Image.fromarray(values.astype(np.float32)).save(path)
+            save_tiff(path, values.astype(np.float32))
             written.append(path)
         if progress is not None:
             progress(done + 1, len(chosen), name)

@@ -35,6 +35,22 @@ _MAX_ERROR_PX = 4.0  # COLMAP's thresholds in pixels of the original image …
 _MAX_ERROR_FEATURE_PX = 2.0  # … and ours in pixels of the image that features were found in, where that is the larger
 
 
+def is_exhaustive(frames: int, config: SfmConfig) -> bool:
+    """Whether each image is matched with every other one, not with its neighbours alone."""
+    return config.matching == "exhaustive" or (config.matching == "auto" and frames <= _EXHAUSTIVE_UP_TO)
+
+
+def matched_pairs(frames: int, config: SfmConfig) -> int:
+    """How many pairs of images are matched."""
+    if is_exhaustive(frames, config):
+        return frames * (frames - 1) // 2
+    offsets = {
+        *range(1, _SEQUENTIAL_OVERLAP + 1),
+        *(2**k for k in range(_SEQUENTIAL_OVERLAP)),
+    }  # the next ten, and 2, 4, 8, … ahead
+    return sum(max(0, frames - offset) for offset in offsets)
+
+
 @dataclass(frozen=True, eq=False)
 class ColmapJob:
     """One run of COLMAP on a capture's RGB images: find features, match, then map or triangulate.
@@ -96,17 +112,13 @@ class ColmapJob:
         verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=_MIN_INLIERS)
         verification.ransac.max_error = self.max_error_px
         verification.ransac.random_seed = self.config.seed
-        exhaustive = self.config.matching == "exhaustive" or (self.config.matching == "auto" and n <= _EXHAUSTIVE_UP_TO)
+        exhaustive, total = is_exhaustive(n, self.config), matched_pairs(n, self.config)
         common: dict[str, Any] = {
             "matching_options": options,
             "verification_options": verification,
             "device": pycolmap.Device.cpu,
         }
-        if exhaustive:
-            total = n * (n - 1) // 2
-        else:  # the next ten, and those 2, 4, 8, … ahead
-            offsets = {*range(1, _SEQUENTIAL_OVERLAP + 1), *(2**k for k in range(_SEQUENTIAL_OVERLAP))}
-            total = sum(max(0, n - offset) for offset in offsets)
+        if not exhaustive:
             common["pairing_options"] = pycolmap.SequentialPairingOptions(
                 overlap=_SEQUENTIAL_OVERLAP, quadratic_overlap=True, loop_detection=False
             )

@@ -6,6 +6,8 @@ there are no poses, COLMAP's incremental mapper finds both, with the calibrated 
 
 from __future__ import annotations
 
+import math
+import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -21,7 +23,7 @@ from rtgs.io.image_files import list_images, read_header, write_upright
 from rtgs.maths.geometry import SE3
 from rtgs.records.capture import Capture, SparsePoints
 from rtgs.records.scene import Scene
-from rtgs.sfm.colmap_job import ColmapJob
+from rtgs.sfm.colmap_job import ColmapJob, matched_pairs
 
 
 def run_sfm(
@@ -41,7 +43,8 @@ def run_sfm(
         capture.
 
     Raises:
-        RtgsError: an image file has gone, or fewer than three frames could be registered.
+        RtgsError: an image file has gone, the disk has too little room for COLMAP's database, or fewer than three frames could be
+            registered.
     """
     config = config or SfmConfig()
     report = progress or (lambda done, total, stage: None)
@@ -64,6 +67,7 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
     names = [frame.name for frame in capture.frames]
     if capture.poses is not None:
         names = [name for name in names if name in capture.poses.world_from_rgb]
+    _check_space(work_dir, len(names), config)
     job = ColmapJob(capture, config, work_dir, report, *_upright_files(capture, names, work_dir))
     pycolmap.set_random_seed(config.seed)
     job.find_features()
@@ -78,6 +82,32 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
         )
         capture = replace(capture, warnings=(*capture.warnings, said))
     return _scene_from_poses(capture, poses.world_from_rgb, points)
+
+
+def _check_space(work_dir: Path, frames: int, config: SfmConfig) -> None:
+    """Refuse where COLMAP's database may not fit: COLMAP aborts the process when it cannot write to it.
+
+    An image has at most `max_features` features of 128 + 24 bytes. A pair is taken to match a quarter of them, before and after
+    geometric verification, with 8 bytes each. SQLite keeps changes in a second file of up to the same size.
+    """
+    pairs = matched_pairs(frames, config)
+    needed = 2 * (frames * config.max_features * 152 + pairs * config.max_features * 4) + (1 << 20)
+    free, limit = shutil.disk_usage(work_dir).free, _file_size_limit()
+    if min(free, limit) < needed:
+        said = f"{free / 1e6:,.0f} MB are free" if free < limit else f"a file of this process may have {limit / 1e6:,.0f} MB"
+        raise RtgsError(
+            f"{work_dir}: structure from motion may need {needed / 1e6:,.0f} MB there, and {said}. Make room, choose another place for "
+            "the run, or lower --sfm.max-features."
+        )
+
+
+def _file_size_limit() -> float:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return math.inf
+    soft = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return math.inf if soft == resource.RLIM_INFINITY else soft
 
 
 def _upright_files(capture: Capture, names: Iterable[str], work_dir: Path) -> tuple[Path, dict[str, str]]:

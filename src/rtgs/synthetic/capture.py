@@ -13,11 +13,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from PIL import Image
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import write_json
 from rtgs.config import SceneName, SynthConfig
+from rtgs.images.pictures import save_png, save_tiff
 from rtgs.io.rig import rig_to_json, write_rig
 from rtgs.io.transforms import write_transforms
 from rtgs.maths.geometry import SE3
@@ -31,7 +31,7 @@ from rtgs.synthetic.sensor import RADIOMETRY, contrast_gains, noise_rng, record_
 
 GROUND_TRUTH_JSON = "ground_truth.json"
 _OWN_FILE = re.compile(
-    r"(rgb|thermal|ground_truth/thermal_clean)/frame_\d+\.(png|tiff)|\.?(rig|transforms|ground_truth)\.json(\.\d+\.tmp)?"
+    r"((rgb|thermal|ground_truth/thermal_clean)/)?\.?(frame_\d+\.(png|tiff)|(rig|transforms|ground_truth)\.json)(\.\d+\.tmp)?"
 )
 
 
@@ -129,10 +129,10 @@ def _write_images(
         if scene.size:
             coldest, hottest = min(coldest, float(scene.min())), max(hottest, float(scene.max()))
         counts = record_thermal(clean, config, truth.gains[name], noise_rng(config, i))
-        Image.fromarray((rgb * 255 + 0.5).astype(np.uint8)).save(out / "rgb" / f"{name}.png")
-        Image.fromarray(counts).save(out / "thermal" / f"{name}.tiff")
+        save_png(out / "rgb" / f"{name}.png", (rgb * 255 + 0.5).astype(np.uint8))
+        save_tiff(out / "thermal" / f"{name}.tiff", counts)
         if config.thermal_clean:
-            Image.fromarray(clean).save(out / "ground_truth" / "thermal_clean" / f"{name}.tiff")
+            save_tiff(out / "ground_truth" / "thermal_clean" / f"{name}.tiff", clean)
         if progress is not None:
             progress(i + 1, config.frames)
     return (coldest, hottest) if coldest <= hottest else (background_c, background_c)  # nothing but rims and background

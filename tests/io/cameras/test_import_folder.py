@@ -296,6 +296,23 @@ def test_an_existing_capture_is_not_touched(photographs: Path, tmp_path: Path) -
     assert import_folder("flir", photographs, tmp_path / "out").frames == 3
 
 
+@pytest.mark.parametrize("at", [4, 5, 6])
+def test_an_import_that_was_stopped_can_be_repeated(photographs: Path, tmp_path: Path, at: int) -> None:
+    def stop(done: int, total: int, text: str) -> None:
+        if done == at:
+            raise KeyboardInterrupt
+
+    out, whole = tmp_path / "out", tmp_path / "whole"
+    with pytest.raises(KeyboardInterrupt):
+        import_folder("flir", photographs, out, progress=stop)
+    assert not (out / "rig.json").exists()
+    (out / "rgb" / f".{NAMES[2]}.jpg.1.tmp").write_bytes(b"half")  # what a killed one leaves besides
+    for folder in (out, whole):
+        assert import_folder("flir", photographs, folder).frames == 3
+    names = [sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*")) for folder in (out, whole)]
+    assert names[0] == names[1] and all((out / n).read_bytes() == (whole / n).read_bytes() for n in names[0] if "." in n)
+
+
 @needs_samples
 @pytest.mark.parametrize("name", ["FLIR", "FLIR_AX8", "FLIR_T640"])
 def test_sample_files_become_captures(name: str, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import. What the files can't say (no radiometric JPEG holds the transform betwee
 from __future__ import annotations
 
 import io
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_whole
 from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
+from rtgs.images.pictures import save_tiff
 from rtgs.io.cameras.common_facts import Facts, Pair, common_facts
 from rtgs.io.cameras.nominal_rig import check_sizes, disagreements, nominal_rig
 from rtgs.io.cameras.protocol import CameraFormat, VisiblePicture
@@ -28,6 +31,8 @@ from rtgs.records.radiometry import ZERO_CELSIUS_K, CelsiusRadiometry, PlanckRad
 
 _SUFFIXES = (".jpg", ".jpeg", ".rjpg", ".rjpeg")
 _USUAL_SURROUNDINGS_C = (-80.0, 100.0)  # from a clear sky to a hot machine room
+
+_UNFINISHED = ".import.tmp"  # is in a capture folder while an import writes to it
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ def import_folder(
     Args:
         camera: the maker's name in `registry.MODULES`.
         folder: its JPEGs with thermal data are the frames; others are passed over, and listed.
-        out: the capture folder; new or empty.
+        out: the capture folder; new, empty, or what an import that was stopped has left.
         rgb: a folder with visible pictures of the same stems, for cameras that neither embed them nor name them alike.
         rig: a `rig.json` of these two cameras; its radiometry, if it has any, gives way to the files'.
         progress: called with done, total and a file name.
@@ -68,7 +73,7 @@ def import_folder(
     report = progress or (lambda done, total, text: None)
     if not folder.is_dir():
         raise RtgsError(f"{folder}: no such folder of radiometric JPEGs.")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / _UNFINISHED).is_file())):
         raise RtgsError(f"{out}: is there already and isn't an empty folder. Give a new folder for the capture.")
     rig_file = None if rig is None else read_rig(rig)
     reader = _Reader(camera_format(camera), rgb, None if rgb is None else list_images(rgb))
@@ -102,10 +107,13 @@ def import_folder(
     _write_images(out, pairs(len(files)), facts)
     if rig_file is not None:
         write_rig(out / "rig.json", rig_file.rig, facts.radiometry)
-        return ImportResult(len(files), (), (*notes, *rig_file.warnings))
-    rig_json, missing = nominal_rig(facts)
-    write_json(out / "rig.json", rig_json)
-    return ImportResult(len(files), tuple(missing), tuple(notes))
+        result = ImportResult(len(files), (), (*notes, *rig_file.warnings))
+    else:
+        rig_json, missing = nominal_rig(facts)
+        write_json(out / "rig.json", rig_json)
+        result = ImportResult(len(files), tuple(missing), tuple(notes))
+    (out / _UNFINISHED).unlink()
+    return result
 
 
 def _unusual_surroundings(radiometry: CelsiusRadiometry) -> list[str]:
@@ -193,11 +201,16 @@ def _visible_file(path: Path, focal_px: float | None) -> VisiblePicture:
 
 
 def _write_images(out: Path, pairs: Iterator[Pair], facts: Facts) -> None:
-    (out / "rgb").mkdir(parents=True)
-    (out / "thermal").mkdir()
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _UNFINISHED).touch()
+    for name in ("rgb", "thermal"):
+        if (out / name).exists():  # of an import that was stopped
+            shutil.rmtree(out / name)
+        (out / name).mkdir()
     for pair in pairs:
-        (out / "rgb" / f"{pair.name}{pair.visible.suffix}").write_bytes(pair.visible.file)
-        Image.fromarray(_stored(pair, facts.radiometry)).save(out / "thermal" / f"{pair.name}.tiff")
+        with write_whole(out / "rgb" / f"{pair.name}{pair.visible.suffix}") as temporary:
+            temporary.write_bytes(pair.visible.file)
+        save_tiff(out / "thermal" / f"{pair.name}.tiff", _stored(pair, facts.radiometry))
 
 
 def _stored(pair: Pair, radiometry: CelsiusRadiometry) -> NDArray[np.generic]:

@@ -14,8 +14,8 @@ from rtgs.evaluation.records import Evaluation
 from rtgs.records.decision import Decision
 from rtgs.records.radiometry import Unit
 from rtgs.run.config_file import read_config
-from rtgs.run.model_files import ThermalFile
 from rtgs.run.folder import RunFolder
+from rtgs.run.model_files import ThermalFile
 from rtgs.run.records import CaptureSummary
 from rtgs.scale import ScaleEstimate
 
