@@ -105,8 +105,8 @@ def check_poses(world_from_rgb: dict[str, SE3], position_error: float = 0.02) ->
 
 
 def test_poses_from_photographs_and_a_blank_image_is_named(own_room: Path) -> None:
-    for folder, shape, dtype in (("rgb", (240, 320, 3), np.uint8), ("thermal", (32, 40), np.uint16)):
-        Image.fromarray(np.full(shape, 90, dtype)).save(own_room / folder / "999.png")
+    Image.fromarray(np.full((240, 320, 3), 90, np.uint8)).save(own_room / "rgb" / "999.png")
+    Image.fromarray(thermal_counts(2990)).save(own_room / "thermal" / "999.png")
     before = listing(own_room)
     stages: dict[str, list[tuple[int, int]]] = {}
     scene = run_sfm(
