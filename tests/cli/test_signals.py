@@ -48,10 +48,13 @@ def test_a_sigterm_that_went_under_stops_the_work_at_its_next_step() -> None:
             listener(WorkStarted("scale", "metric scale"))
 
 
-def test_without_sigterm_the_listener_does_nothing() -> None:
+def test_without_sigterm_the_work_goes_on() -> None:
+    before, ended = signal.getsignal(signal.SIGTERM), False
     with sigterm_as_ctrl_c() as listener:
         listener(WorkStarted("rgb", "RGB model"))
         listener(WorkProgress("rgb", 1, 2, ""))
+        ended = True
+    assert ended and signal.getsignal(signal.SIGTERM) is before
 
 
 def test_another_thread_than_the_main_one_has_no_handler() -> None:

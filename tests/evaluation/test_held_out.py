@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.helpers.scene_record import altered, scene_of
 
 from rtgs.evaluation.held_out import evaluate
 from rtgs.evaluation.records import ModelScores
@@ -20,7 +21,6 @@ from rtgs.metrics.basic import psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips
 from rtgs.models import RgbModel, SensorModel, ThermalModel
 from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.radiometry import CELSIUS, LinearRange, RelativeCounts
 from rtgs.records.rig import Rig
@@ -62,34 +62,19 @@ def perfect() -> tuple[Scene, RgbModel, ThermalModel]:
         settings=settings,
         sfm_per_metre=SFM_PER_METRE,
     )
-    poses = {}
+    poses = []
     for k in range(10):
         eye = SFM_PER_METRE * np.array([2.4 * math.cos(0.7 * k), 2.4 * math.sin(0.7 * k), 0.8 * math.sin(1.9 * k)])
-        poses[f"{k:03d}"] = look_at(eye, [0, 0, 0])
-    frames = []
-    for name, pose in poses.items():
-        world_from_thermal = pose @ RIG.rgb_from_thermal.with_baseline_scaled(SFM_PER_METRE)
-        celsius = thermal.render(RIG.thermal, world_from_thermal.inverse())
-        frames.append(Frame(name, rgb.render(RIG.rgb, pose.inverse()), celsius))
-    capture = Capture(
-        root=Path(),
-        raw_rig=RIG,
-        rig=RIG,
-        frames=tuple(frames),
-        rgb_mask=np.ones((RIG.rgb.height, RIG.rgb.width), bool),
-        thermal_mask=np.ones((RIG.thermal.height, RIG.thermal.width), bool),
+        poses.append(look_at(eye, [0, 0, 0]))
+    baseline = RIG.rgb_from_thermal.with_baseline_scaled(SFM_PER_METRE)
+    scene = scene_of(
+        RIG,
+        poses,
+        rgb=[rgb.render(RIG.rgb, pose.inverse()) for pose in poses],
+        thermal=[thermal.render(RIG.thermal, (pose @ baseline).inverse()) for pose in poses],
         radiometry=CELSIUS,
-        poses=None,
     )
-    points = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
-    return Scene(capture, poses, points, {}), rgb, thermal
-
-
-def altered(scene: Scene, *, rgb: dict[str, np.ndarray] | None = None, thermal: dict[str, np.ndarray] | None = None) -> Scene:
-    """Some frames' images replaced."""
-    rgb, thermal = rgb or {}, thermal or {}
-    frames = tuple(replace(f, rgb=rgb.get(f.name, f.rgb), thermal=thermal.get(f.name, f.thermal)) for f in scene.capture.frames)
-    return replace(scene, capture=replace(scene.capture, frames=frames))
+    return scene, rgb, thermal
 
 
 def test_a_perfect_model_scores_perfectly() -> None:

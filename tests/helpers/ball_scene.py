@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import torch
+from tests.helpers.scene_record import scene_of
 from torch import Tensor
 
 from rtgs.config import DensifyConfig, RgbConfig
@@ -17,15 +16,14 @@ from rtgs.maths.sh import C0
 from rtgs.metrics.basic import psnr
 from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
+from rtgs.records.capture import SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
 
 CAMERA = Camera("PINHOLE", 40, 40, 44.0, 44.0, 20.0, 20.0)
-NO_POINTS = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
+RIG = Rig(CAMERA, CAMERA, SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
 QUICK = RgbConfig(
     steps=120, sh_degree=1, coarse_to_fine=(), densify=DensifyConfig(max_gaussians=300, every=20, start=0.05, stop=0.6)
 )
@@ -46,26 +44,14 @@ def synthetic() -> Scene:
         torch.full((n,), 3.0),
         ((colors - 0.5) / C0)[:, None],
     )
-    poses, frames = {}, []
+    poses, images = [], []
     for k in range(10):
         pose = look_at([3 * math.cos(0.63 * k), 3 * math.sin(0.63 * k), 0.8 * math.sin(1.7 * k)], [0, 0, 0])
         view = render(truth, CAMERA, pose.inverse(), settings=RenderSettings()).over(torch.tensor([0.3, 0.35, 0.4]))
-        poses[f"{k:03d}"] = pose
-        frames.append(Frame(f"{k:03d}", view.numpy().clip(0, 1), np.zeros((40, 40), np.float32)))
+        poses.append(pose)
+        images.append(view.numpy().clip(0, 1))
     points = truth.means[:150] + 0.02 * torch.randn(150, 3, generator=g)
-    return assembled(frames, poses, SparsePoints(points.double().numpy(), colors[:150].numpy()))
-
-
-def assembled(frames: list[Frame], poses: dict[str, SE3], points: SparsePoints, mask: np.ndarray | None = None) -> Scene:
-    rig = Rig(CAMERA, CAMERA, SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
-    everywhere = np.ones((40, 40), bool)
-    capture = Capture(Path(), rig, rig, tuple(frames), everywhere if mask is None else mask, everywhere, RelativeCounts(), None)
-    return Scene(capture, poses, points, {})
-
-
-def with_images(scene: Scene, change: dict[str, np.ndarray], mask: np.ndarray | None = None) -> Scene:
-    frames = [replace(f, rgb=change.get(f.name, f.rgb)) for f in scene.frames]
-    return assembled(frames, dict(scene.world_from_rgb), scene.points, mask)
+    return scene_of(RIG, poses, rgb=images, points=SparsePoints(points.double().numpy(), colors[:150].numpy()))
 
 
 def held_out_psnr(scene: Scene, model: RgbModel) -> float:

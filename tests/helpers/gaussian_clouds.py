@@ -38,6 +38,23 @@ def cloud(n: int, degree: int = 3, channels: int = 3, seed: int = 0, size: float
     )
 
 
+def shell(n: int, generator: torch.Generator, *, size: float, spread: float, coefficients: int = 1) -> Gaussians:
+    """A textured shell of radius 0.7 to 1 about the origin.
+
+    Args:
+        size, spread: median of the Gaussians' standard deviations, and the standard deviation of their logarithms.
+        coefficients: of the harmonics.
+    """
+    directions = torch.nn.functional.normalize(torch.randn(n, 3, generator=generator), dim=1)
+    return Gaussians(
+        directions * (0.7 + 0.3 * torch.rand(n, 1, generator=generator)),
+        torch.randn(n, 4, generator=generator),
+        math.log(size) + spread * torch.randn(n, 3, generator=generator),
+        torch.full((n,), 2.0),
+        (torch.rand(n, coefficients, 3, generator=generator) - 0.5) / C0,
+    )
+
+
 def gray_blob(mean: tuple[float, float, float], sigma: float, opacity_logit: float, color: float = 0.5) -> Gaussians:
     """One isotropic Gaussian of one channel."""
     return Gaussians(

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
+from tests.helpers.gaussian_clouds import shell
+from tests.helpers.scene_record import scene_of
 
 from rtgs.config import PAPER_EPSILON, ScaleConfig
 from rtgs.images.filters import GRAY_WEIGHTS
@@ -18,9 +19,7 @@ from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.maths.sh import C0
 from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
 from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import CalibrationStd, Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings, render
@@ -36,22 +35,13 @@ FORWARDS = replace(RIG, rgb_from_thermal=SE3(RIG.rgb_from_thermal.rotation, np.a
 
 STD = CalibrationStd(baseline_direction=0.05, rotation_rad=0.01, thermal_focal=0.03)
 STATED = replace(RIG, calibration_std=STD)
-NO_POINTS = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
 GLOBAL = ScaleConfig(solver="global")
 QUICK = ScaleConfig(solver="adam", steps=50, learning_rate=0.02, scan_samples=32)
 
 
 def bumpy_ball(n: int = 500) -> Gaussians:
     """A textured shell about the origin, metres."""
-    g = torch.Generator().manual_seed(0)
-    directions = torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1)
-    return Gaussians(
-        directions * (0.7 + 0.3 * torch.rand(n, 1, generator=g)),
-        torch.randn(n, 4, generator=g),
-        math.log(0.09) + 0.3 * torch.randn(n, 3, generator=g),
-        torch.full((n,), 2.0),
-        ((torch.rand(n, 1, 3, generator=g) - 0.5) / C0),
-    )
+    return shell(n, torch.Generator().manual_seed(0), size=0.09, spread=0.3)
 
 
 def cloud(seed: int) -> Gaussians:
@@ -68,21 +58,8 @@ def cloud(seed: int) -> Gaussians:
 
 
 def assembled(poses: list[SE3], thermal: list[np.ndarray], rig: Rig = RIG, rgb: list[np.ndarray] | None = None) -> Scene:
-    """A scene record in memory."""
-    blank = [np.zeros((rig.rgb.height, rig.rgb.width, 3), np.float32)] * len(thermal)
-    pairs = zip(rgb or blank, thermal, strict=True)
-    frames = tuple(Frame(f"{i:03d}", photo, image) for i, (photo, image) in enumerate(pairs))
-    capture = Capture(
-        root=Path(),
-        raw_rig=rig,
-        rig=rig,
-        frames=frames,
-        rgb_mask=np.ones((rig.rgb.height, rig.rgb.width), bool),
-        thermal_mask=np.ones((rig.thermal.height, rig.thermal.width), bool),
-        radiometry=RelativeCounts(),
-        poses=None,
-    )
-    return Scene(capture, {f.name: p for f, p in zip(frames, poses, strict=True)}, NO_POINTS, {})
+    """`scene_of`, with this file's rig unless another is given."""
+    return scene_of(rig, poses, rgb=rgb, thermal=thermal)
 
 
 def with_rig(scene: Scene, rig: Rig) -> Scene:

@@ -6,19 +6,18 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import torch
+from tests.helpers.gaussian_clouds import shell
+from tests.helpers.scene_record import altered, scene_of
 
 from rtgs.maths.geometry import SE3, look_at, rotation_from_axis_angle
 from rtgs.maths.sh import C0
 from rtgs.metrics.basic import mae
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
-from rtgs.records.gaussians import Gaussians
-from rtgs.records.radiometry import CELSIUS, LinearRange, Radiometry, RelativeCounts
+from rtgs.records.radiometry import CELSIUS, LinearRange
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
@@ -37,50 +36,12 @@ RIG = Rig(
 SFM_PER_METRE = 1.7
 
 
-def assembled(poses: list[SE3], thermal: list[np.ndarray], *, unit: str = "celsius", mask: np.ndarray | None = None) -> Scene:
-    blank = np.zeros((RIG.rgb.height, RIG.rgb.width, 3), np.float32)
-    capture = Capture(
-        root=Path(),
-        raw_rig=RIG,
-        rig=RIG,
-        frames=tuple(Frame(f"{i:03d}", blank, image) for i, image in enumerate(thermal)),
-        rgb_mask=np.ones(blank.shape[:2], bool),
-        thermal_mask=np.ones((RIG.thermal.height, RIG.thermal.width), bool) if mask is None else mask,
-        radiometry=CELSIUS if unit == "celsius" else RelativeCounts(),
-        poses=None,
-    )
-    none = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
-    return Scene(capture, {f.name: p for f, p in zip(capture.frames, poses, strict=True)}, none, {})
-
-
-def with_thermal(
-    scene: Scene,
-    images: dict[str, np.ndarray],
-    *,
-    thermal_mask: np.ndarray | None = None,
-    radiometry: Radiometry | None = None,
-) -> Scene:
-    """The same scene with some frames' thermal images replaced; with another mask or radiometry where one is given."""
-    capture = scene.capture
-    frames = tuple(replace(f, thermal=images.get(f.name, f.thermal)) for f in capture.frames)
-    mask = capture.thermal_mask if thermal_mask is None else thermal_mask
-    radiometry = capture.radiometry if radiometry is None else radiometry
-    return replace(scene, capture=replace(capture, frames=frames, thermal_mask=mask, radiometry=radiometry))
-
-
 @lru_cache(maxsize=1)
 def known() -> tuple[Scene, RgbModel, ThermalModel]:
     """A ball of 150 Gaussians with known temperatures of 15 to 45 °C, before a wall at 20 °C; frames 0 and 8 are held out."""
     g = torch.Generator().manual_seed(1)
     n = 150
-    directions = torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1)
-    ball = Gaussians(
-        SFM_PER_METRE * directions * (0.7 + 0.3 * torch.rand(n, 1, generator=g)),
-        torch.randn(n, 4, generator=g),
-        math.log(0.13 * SFM_PER_METRE) + 0.2 * torch.randn(n, 3, generator=g),
-        torch.full((n,), 2.0),
-        (torch.rand(n, 4, 3, generator=g) - 0.5) / C0,
-    )
+    ball = shell(n, g, size=0.13, spread=0.2, coefficients=4).scaled(SFM_PER_METRE)
     settings = RenderSettings(near_plane=0.05)
     rgb = RgbModel(ball, torch.tensor([0.1, 0.3, 0.2]), settings)
     hot = replace(ball, sh=(torch.rand(n, 1, 1, generator=g) - 0.5) / C0)
@@ -98,10 +59,9 @@ def known() -> tuple[Scene, RgbModel, ThermalModel]:
     for k in range(10):
         eye = SFM_PER_METRE * np.array([2.6 * math.cos(0.7 * k), 2.6 * math.sin(0.7 * k), 0.9 * math.sin(1.9 * k)])
         poses.append(look_at(eye, [0, 0, 0]))
-    blank = np.zeros((RIG.thermal.height, RIG.thermal.width), np.float32)
-    scene = assembled(poses, [blank] * len(poses))
+    scene = scene_of(RIG, poses, radiometry=CELSIUS)
     images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
-    return with_thermal(scene, images), rgb, truth
+    return altered(scene, thermal=images), rgb, truth
 
 
 @lru_cache(maxsize=1)
@@ -112,9 +72,9 @@ def ring() -> tuple[Scene, RgbModel, ThermalModel]:
     for k in range(32):
         eye = SFM_PER_METRE * np.array([2.6 * math.cos(0.7 * k), 2.6 * math.sin(0.7 * k), 1.3 * math.sin(1.9 * k)])
         poses.append(look_at(eye, [0, 0, 0]))
-    scene = assembled(poses, [np.zeros((RIG.thermal.height, RIG.thermal.width), np.float32)] * 32)
+    scene = scene_of(RIG, poses, radiometry=CELSIUS)
     images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
-    return with_thermal(scene, images), rgb, truth
+    return altered(scene, thermal=images), rgb, truth
 
 
 @lru_cache(maxsize=1)
@@ -133,7 +93,7 @@ def fit_of(scene: Scene, rgb: RgbModel, degree: int = 1, settings: LinearSetting
 
 def changed(scene: Scene, change: Callable[[int, np.ndarray], np.ndarray]) -> Scene:
     """Every thermal image replaced by `change(number of the frame, image)`."""
-    return with_thermal(scene, {f.name: change(i, f.thermal).astype(np.float32) for i, f in enumerate(scene.capture.frames)})
+    return altered(scene, thermal={f.name: change(i, f.thermal).astype(np.float32) for i, f in enumerate(scene.capture.frames)})
 
 
 def held_out_error_c(scene: Scene, model: ThermalModel) -> float:

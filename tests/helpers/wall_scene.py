@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import torch
+from tests.helpers.scene_record import scene_of
 
 from rtgs.maths import sh
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.models import RgbModel
 from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
+from rtgs.records.capture import SparsePoints
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.radiometry import CELSIUS
 from rtgs.records.rig import Rig
@@ -63,27 +63,18 @@ def wall_scene() -> tuple[Scene, RgbModel]:
     centres = TRUTH * generator.uniform(-0.3, 0.3, (FRAMES, 3)) * [1, 1, 0]
     poses = {n: SE3(r, c) for n, r, c in zip(names, rolls, centres, strict=True)}
 
-    def frame(name: str) -> Frame:
+    rgb, thermal = [], []
+    for name in names:
         world_from_thermal = poses[name] @ RIG.rgb_from_thermal.with_baseline_scaled(TRUTH)
         with torch.no_grad():
-            rgb = render(wall, RGB, poses[name].inverse(), settings=settings).color.numpy()
+            rgb.append(render(wall, RGB, poses[name].inverse(), settings=settings).color.numpy())
             level = (
                 render(warm, THERMAL, world_from_thermal.inverse(), settings=settings).over(torch.tensor([0.5])).numpy()[..., 0]
             )
-        return Frame(name, rgb, (10 + 20 * level).astype(np.float32))
-
-    capture = Capture(
-        Path("plane"),
-        RIG,
-        RIG,
-        tuple(frame(n) for n in names),
-        np.ones((RGB.height, RGB.width), bool),
-        np.ones((THERMAL.height, THERMAL.width), bool),
-        CELSIUS,
-        None,
-    )
+        thermal.append((10 + 20 * level).astype(np.float32))
     points = SparsePoints(wall.means[::7].double().numpy(), np.zeros((len(wall.means[::7]), 3), np.float32))
-    return Scene(capture, poses, points, {}), RgbModel(wall, torch.zeros(3), settings)
+    scene = scene_of(RIG, poses, rgb=rgb, thermal=thermal, points=points, radiometry=CELSIUS)
+    return scene, RgbModel(wall, torch.zeros(3), settings)
 
 
 def estimate(sfm_per_metre: float) -> ScaleEstimate:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from tests.helpers.ball_scene import synthetic, with_images
+from tests.helpers.ball_scene import synthetic
+from tests.helpers.scene_record import altered
 
 from rtgs.rgb.images import TrainingImages
 
@@ -22,7 +23,7 @@ def test_reduced_images_are_means_of_blocks() -> None:
 def test_a_reduced_pixel_counts_where_all_of_it_is_valid() -> None:
     mask = np.ones((40, 40), bool)
     mask[:, 31:], mask[3, 2] = False, False
-    target = TrainingImages(with_images(synthetic(), {}, mask)).target(synthetic().frames[1], 2)
+    target = TrainingImages(altered(synthetic(), rgb_mask=mask)).target(synthetic().frames[1], 2)
     assert target.pixels is not None and target.windows is not None
     np.testing.assert_array_equal(target.pixels, mask.reshape(20, 2, 20, 2).all((1, 3)))
     centres = np.argwhere(target.windows.numpy())

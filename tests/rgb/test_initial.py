@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from tests.helpers.ball_scene import NO_POINTS, QUICK, held_out_psnr, synthetic, with_images
+from tests.helpers.ball_scene import QUICK, held_out_psnr, synthetic
+from tests.helpers.scene_record import NO_POINTS, altered
 
 from rtgs.maths.sh import C0
 from rtgs.rgb.initial import initial_background, initial_gaussians, starting_points
@@ -33,7 +34,7 @@ def test_without_points_it_starts_from_random_ones() -> None:
 def test_the_background_starts_at_the_median_border_of_the_training_frames() -> None:
     scene = synthetic()
     grays = {f.name: 0.1 * (k + 1) for k, f in enumerate(scene.train_frames)} | {f.name: 1.0 for f in scene.held_out_frames}
-    flat = with_images(scene, {name: np.full((40, 40, 3), gray, np.float32) for name, gray in grays.items()})
+    flat = altered(scene, rgb={name: np.full((40, 40, 3), gray, np.float32) for name, gray in grays.items()})
     torch.testing.assert_close(initial_background(flat, QUICK), torch.full((3,), 0.45))  # of 0.1, 0.2, …, 0.8
 
 

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from tests.helpers.ball_scene import CAMERA, QUICK, assembled, assert_equal, held_out_psnr, synthetic, tensors, with_images
+from tests.helpers.ball_scene import CAMERA, QUICK, RIG, assert_equal, held_out_psnr, synthetic, tensors
+from tests.helpers.scene_record import altered, scene_of
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
@@ -41,10 +42,10 @@ def test_the_same_call_gives_the_same_model_and_held_out_images_do_not_matter() 
     noise = {f.name: 1.0 - f.rgb[::-1].copy() for f in scene.held_out_frames}
     first = fit_rgb(scene, config)
     assert_equal(first, fit_rgb(scene, config))
-    without = fit_rgb(with_images(scene, noise), config)
+    without = fit_rgb(altered(scene, rgb=noise), config)
     assert_equal(first, without)
     assert without.history["held_out_psnr"] != first.history["held_out_psnr"]  # scored, for show
-    other = fit_rgb(with_images(scene, {"003": 1.0 - scene.frames[3].rgb}), config)
+    other = fit_rgb(altered(scene, rgb={"003": 1.0 - scene.frames[3].rgb}), config)
     assert not torch.equal(other.background, first.background)
 
 
@@ -53,9 +54,9 @@ def test_masked_pixels_do_not_matter() -> None:
     mask = np.ones((40, 40), bool)
     mask[:, 31:] = False
     spoiled = {f.name: np.where(mask[..., None], f.rgb, 1.0 - f.rgb) for f in scene.frames}
-    assert_equal(fit_rgb(with_images(scene, {}, mask), config), fit_rgb(with_images(scene, spoiled, mask), config))
+    assert_equal(fit_rgb(altered(scene, rgb_mask=mask), config), fit_rgb(altered(scene, rgb=spoiled, rgb_mask=mask), config))
     assert not torch.equal(
-        fit_rgb(scene, config).gaussians.sh, fit_rgb(with_images(scene, spoiled), config).gaussians.sh
+        fit_rgb(scene, config).gaussians.sh, fit_rgb(altered(scene, rgb=spoiled), config).gaussians.sh
     )  # without the mask they do
 
 
@@ -73,7 +74,7 @@ def test_the_budget_is_never_exceeded(budget: int) -> None:
 def test_exposure_is_recovered_and_not_used_for_held_out_frames() -> None:
     scene = synthetic()
     gains = {f.name: 0.8 if k % 2 else 1.1 for k, f in enumerate(scene.train_frames)}
-    gained = with_images(scene, {f.name: f.rgb * np.float32(gains[f.name]) for f in scene.train_frames})
+    gained = altered(scene, rgb={f.name: f.rgb * np.float32(gains[f.name]) for f in scene.train_frames})
     steps = 250
     config = replace(QUICK, steps=steps, exposure=True)
     training = Training(gained, config)
@@ -152,7 +153,7 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
 
 def test_nothing_to_train_on_is_said() -> None:
     scene = synthetic()
-    alone = assembled(list(scene.frames[:1]), {"000": scene.world_from_rgb["000"]}, scene.points)
+    alone = scene_of(RIG, {"000": scene.world_from_rgb["000"]}, rgb=[scene.frames[0].rgb], points=scene.points)
     with pytest.raises(RtgsError, match="no training frame"):
         fit_rgb(alone, QUICK)
     # Without an extent the near plane and the position rate are zero, and every Gaussian is larger than the scene.

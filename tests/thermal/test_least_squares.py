@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import torch
-from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, changed, fit_of, known, model_of, ring, with_thermal
+from tests.helpers.scene_record import altered
+from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, changed, fit_of, known, model_of, ring
 
 from rtgs.config import DriftKind
 from rtgs.models import RgbModel, ThermalModel
@@ -144,7 +145,7 @@ def directional() -> tuple[Scene, RgbModel, ThermalModel]:
     sh = torch.cat([truth.gaussians.sh * 0.6, 0.15 * torch.randn(len(rgb.gaussians), 3, 1, generator=g)], dim=1)
     truth = replace(truth, gaussians=replace(truth.gaussians, sh=sh))
     images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
-    return with_thermal(scene, images), rgb, truth
+    return altered(scene, thermal=images), rgb, truth
 
 
 def test_known_colours_are_recovered_to_a_millikelvin() -> None:

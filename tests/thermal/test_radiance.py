@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, held_out_error_c, ring, with_thermal
+from tests.helpers.scene_record import altered
+from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, held_out_error_c, ring
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import ThermalConfig
@@ -44,7 +45,7 @@ def mixed() -> tuple[Scene, RgbModel, ThermalModel]:
     scene, rgb, truth = ring()
     truth = replace(truth, range=HOT, color_range=PlanckRange.of(CALIBRATION, HOT))
     images = {f.name: truth.render(RIG.thermal, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
-    return with_thermal(scene, images, radiometry=CAMERA), rgb, truth
+    return altered(scene, thermal=images, radiometry=CAMERA), rgb, truth
 
 
 @lru_cache(maxsize=1)
@@ -71,7 +72,7 @@ def test_mixed_pixels_are_right_in_radiance_and_wrong_in_celsius() -> None:
     scene, rgb, _ = mixed()
     model = fitted()
     assert isinstance(model.color_range, PlanckRange)
-    in_celsius = fit_thermal(with_thermal(scene, {}, radiometry=CELSIUS), rgb, SFM_PER_METRE)
+    in_celsius = fit_thermal(altered(scene, radiometry=CELSIUS), rgb, SFM_PER_METRE)
     right, wrong = held_out_error_c(scene, model), held_out_error_c(scene, in_celsius)
     assert right < 0.2 and wrong > 2.0 * right
 
@@ -81,7 +82,7 @@ def test_another_emissivity_needs_no_other_fit() -> None:
     scene, rgb, _ = mixed()
     other = replace(CAMERA, parameters=replace(CAMERA.parameters, emissivity=0.7, reflected_c=-10.0))
     changed = {f.name: CAMERA.reevaluated(f.thermal, emissivity=0.7, reflected_c=-10.0) for f in scene.frames}
-    again = fit_thermal(with_thermal(scene, changed, radiometry=other), rgb, SFM_PER_METRE)
+    again = fit_thermal(altered(scene, thermal=changed, radiometry=other), rgb, SFM_PER_METRE)
     pose = scene.thermal_from_world("000", SFM_PER_METRE)
     before, after = fitted().render(RIG.thermal, pose), again.render(RIG.thermal, pose)
     assert np.abs(after - before).mean() > 5.0
@@ -102,7 +103,7 @@ def test_drift_is_told_in_the_signal() -> None:
     offsets = {f.name: 40.0 * np.sin(2.0 * i) for i, f in enumerate(scene.capture.frames)}
     signal = {f.name: CALIBRATION.blackbody_signal(f.thermal) + offsets[f.name] for f in scene.capture.frames}
     moved = {name: CALIBRATION.blackbody_celsius(s).astype(np.float32) for name, s in signal.items()}
-    model = fit_thermal(with_thermal(scene, moved), rgb, SFM_PER_METRE, ThermalConfig(drift="offset"))
+    model = fit_thermal(altered(scene, thermal=moved), rgb, SFM_PER_METRE, ThermalConfig(drift="offset"))
     found = np.array([model.sensor.drift[f.name][1] for f in scene.train_frames])
     true = np.array([offsets[f.name] for f in scene.train_frames])
     np.testing.assert_allclose(found - np.median(found), true - np.median(true), atol=4.0)

@@ -33,8 +33,8 @@ def ssim_index(
 ) -> float:
     """Mean structural similarity (Wang et al. 2004) by torchmetrics: 11 × 11 Gaussian window, σ = 1.5, borders reflected.
 
-    With a mask, the mean of the SSIM map over the pixels whose window inside the image sees only true pixels: what lies outside
-    the mask has no say. An all-true mask changes nothing.
+    With a mask, the mean of the SSIM map over the pixels whose window inside the image sees only true pixels: values outside the
+    mask change nothing. An all-true mask gives the same as none.
 
     Raises:
         ValueError: also when a side is under 11 px, or no window fits into the mask.

@@ -24,7 +24,7 @@ class RgbModel:
         gaussians: C = 3.
         background: `[3]`, in [0, 1].
         settings: how it has to be rendered (near plane, anti-aliasing).
-        history: lists of equal length: "step", "gaussians", "held_out_psnr" (dB; empty without held-out frames).
+        history: "step" and "gaussians", lists of equal length, and "held_out_psnr" in dB, likewise, or empty without held-out frames.
     """
 
     gaussians: Gaussians

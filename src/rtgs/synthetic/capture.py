@@ -1,4 +1,4 @@
-"""Writes a synthetic capture: the images, what is told about the cameras, and the truth beside them."""
+"""Writes a synthetic capture: the images, `rig.json` and poses as a user would have them, and the truth beside them."""
 
 from __future__ import annotations
 

@@ -33,7 +33,11 @@ class CompiledModel:
     """A model in one triangle soup, with the openness (1 − ambient occlusion) of every vertex."""
 
     def __init__(self, model: Model) -> None:
-        """Raises `RtgsError` where embreex is missing."""
+        """From a model's meshes.
+
+        Raises:
+            RtgsError: embreex is missing.
+        """
         try:
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene

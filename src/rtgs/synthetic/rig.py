@@ -1,4 +1,4 @@
-"""The rig of a synthetic capture: the true one, and the one that `rig.json` tells of."""
+"""The rig of a synthetic capture: the true one, and the one in `rig.json`, which may be wrong on purpose."""
 
 from __future__ import annotations
 

@@ -58,7 +58,11 @@ class PlanarScene:
 
     @staticmethod
     def of(scene: Scene, plane_m: float) -> PlanarScene:
-        """Raises `RtgsError` where the plane brings less than half of the thermal image into the RGB view."""
+        """The capture warped by way of a plane at `plane_m` metres from the thermal camera, square to its axis.
+
+        Raises:
+            RtgsError: the plane brings less than half of the thermal image into the RGB view.
+        """
         rig, capture = scene.rig, scene.capture
         there = homography(rig, plane_m)
         back = np.asarray(np.linalg.inv(there), np.float64)

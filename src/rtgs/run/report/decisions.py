@@ -1,4 +1,4 @@
-"""Section: what the thermal fit decided by itself, and on which evidence."""
+"""Section: what the thermal fit decided by itself, with the errors and thresholds behind each decision."""
 
 from __future__ import annotations
 
