@@ -10,9 +10,12 @@ alone**: after an edit of this file, or of a function or constant that a kernel 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 import numba as nb
+
+from rtgs.base.errors import RtgsError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -45,6 +48,9 @@ def kernel(
         concurrent: Python's lock is let go, so that several Python threads can each run the kernel on work of their own.
         checks_division: division by zero raises ZeroDivisionError, as in Python. Otherwise it gives infinity or NaN, as in NumPy. The
             check is a branch, and keeps a loop that divides from becoming a vector.
+
+    Raises:
+        RtgsError: there is no folder to keep compiled code in.
     """
     compiled: Any = nb.njit(
         cache=True,
@@ -53,7 +59,20 @@ def kernel(
         fastmath=_FASTMATH[arithmetic],
         error_model="python" if checks_division else "numpy",
     )
-    return cast("Callable[[Function], Function]", compiled)
+
+    def compile_kernel(function: Function) -> Function:
+        try:
+            return cast("Function", compiled(function))
+        except RuntimeError as error:
+            if "no locator" not in str(error):
+                raise
+            folder = Path(function.__code__.co_filename).parent
+            raise RtgsError(
+                f"{folder}: cannot be written, nor can the cache folder of this user, and compiled code has to be kept somewhere. "
+                "Set NUMBA_CACHE_DIR to a folder that can be written."
+            ) from error
+
+    return compile_kernel
 
 
 def inlined(function: Function) -> Function:

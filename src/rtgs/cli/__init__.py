@@ -1,11 +1,12 @@
 """The command line: `rtgs COMMAND`. No algorithm lives here, and a command imports what it runs: help should not wait for torch.
 
 Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one message on stderr), 130 stopped with Ctrl-C,
-143 stopped with SIGTERM.
+143 stopped with SIGTERM, 141 whoever read the output has ended.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Sequence
@@ -35,6 +36,18 @@ def main(arguments: Sequence[str] | None = None, listener: Listener | None = Non
         listener: gets the events of the work; None: the terminal shows them.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        try:
+            _command(arguments, listener)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read the output has ended, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python still has to write
+        sys.exit(128 + 13)
+
+
+def _command(arguments: Sequence[str], listener: Listener | None) -> None:
+    """Do what the command line asks for, and say in one line why it cannot be done."""
     if arguments[:1] == ["--version"]:
         print(f"rtgs {__version__}")
         return
@@ -47,6 +60,11 @@ def main(arguments: Sequence[str] | None = None, listener: Listener | None = Non
             sys.exit(143 if isinstance(stop, Terminated) else 130)
         if isinstance(error, RtgsError):
             _complain(str(error))
+        elif isinstance(error, BrokenPipeError):
+            raise
+        elif isinstance(error, UnicodeEncodeError):
+            name = error.object[max(error.start - 60, 0) : error.end + 60]
+            _complain(f"{name!r}: holds a name that is not UTF-8. Rename the file or folder.")
         elif isinstance(error, OSError):  # a full disk, a folder that may not be written
             _complain(f"{error.filename}: {error.strerror}{_free_space(error)}" if error.filename else str(error))
         else:
@@ -70,6 +88,7 @@ def _free_space(error: OSError) -> str:
 
 
 def _complain(text: str) -> None:
+    text = text.encode("utf-8", "backslashreplace").decode()  # a path may hold bytes that are no text
     console = Console(stderr=True)
     console.print("error:", style="bold red", end=" ")
     console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)  # a path may hold [brackets]

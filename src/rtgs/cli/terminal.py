@@ -29,11 +29,17 @@ class _Times(ProgressColumn):
         return Text(f"{clock(task.elapsed)} taken, {clock(task.time_remaining)} left", style="progress.elapsed")
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the command line; rich would end the process with exit code 1."""
+        raise BrokenPipeError
+
+
 class Terminal:
     """A listener that shows a bar with the time taken and left while work goes on, and results and warnings a line each."""
 
     def __init__(self) -> None:
-        self._console = Console()
+        self._console = _Console()
         self._bar: Progress | None = None
         self._task = TaskID(0)
 

@@ -88,7 +88,7 @@ def list_images(folder: Path) -> dict[str, Path]:
     """Image files of a folder by frame name, in name order; hidden files and other suffixes are passed over.
 
     Raises:
-        RtgsError: the folder is missing, or two files share a stem.
+        RtgsError: the folder is missing, two files share a stem, or a name is not UTF-8.
     """
     if not folder.is_dir():
         raise RtgsError(f"{folder}: no such folder. A capture holds rgb/, thermal/ and rig.json.")
@@ -97,6 +97,8 @@ def list_images(folder: Path) -> dict[str, Path]:
         if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith("."):
             continue
         name = frame_name(path.name)
+        if any("\ud800" <= c <= "\udfff" for c in path.name):  # how Python keeps bytes that are not UTF-8
+            raise RtgsError(f"{folder}: a file is named {path.name!a}, which is not UTF-8 text. Rename it.")
         if name in files:
             raise RtgsError(
                 f"{folder}: {files[name].name} and {path.name} share the stem {name!r}, and a stem names one instant. Remove one."
@@ -126,6 +128,11 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with path.open("rb") as file, Image.open(file, formats=IMAGE_FORMATS) as image:
             yield image
+    except Image.DecompressionBombError as error:
+        most = 2 * (Image.MAX_IMAGE_PIXELS or 0) / 1e6
+        raise RtgsError(
+            f"{path}: has more than {most:.0f} megapixels. Reduce all photographs of this camera, and its values in rig.json with them."
+        ) from error
     except (OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from error
 
