@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from rtgs.config import SCENES, RgbConfig, ScaleConfig, SynthConfig
-from rtgs.experiments.scenery import Trial, prepare
+from rtgs.experiments.trials import Trial, prepare
 from rtgs.experiments.variants import Variant
 from rtgs.maths.geometry import axis_angle_from_rotation
 from rtgs.records.rig import CalibrationStd, Rig

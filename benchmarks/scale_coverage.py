@@ -26,7 +26,7 @@ import numpy as np
 
 from rtgs.base.json_records import read_run_json, write_json
 from rtgs.config import SCENES, RgbConfig, SceneName, SynthConfig
-from rtgs.experiments.scenery import Trial, prepare
+from rtgs.experiments.trials import Trial, prepare
 from rtgs.experiments.variants import Variant
 from rtgs.records.rig import CalibrationStd
 from rtgs.records.scene import Scene

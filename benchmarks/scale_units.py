@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtgs.config import RgbConfig, SynthConfig
-from rtgs.experiments.scenery import Trial, prepare
+from rtgs.experiments.trials import Trial, prepare
 from rtgs.scale import estimate_scale
 
 UNITS = (1.0, 1e-4, 1e4)

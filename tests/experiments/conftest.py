@@ -9,8 +9,9 @@ import pytest
 from tests.helpers.tiny_experiment import CONFIG, StopError, Stopped
 
 from rtgs.experiments.rivals import OURS
-from rtgs.experiments.scenery import Trial
-from rtgs.experiments.synthetic import scene_config, synthetic_experiment
+from rtgs.experiments.synthetic import synthetic_experiment
+from rtgs.experiments.tasks import scene_config
+from rtgs.experiments.trials import Trial
 
 
 @pytest.fixture(scope="session")

@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 from rtgs.base.json_records import to_json
 from rtgs.experiments.ablation import ABLATION
-from rtgs.experiments.rivals import OURS, Own
+from rtgs.experiments.rivals import OURS, OurMethod
 
 
 def test_ablations_change_one_setting_each() -> None:
-    def settings(method: Own) -> dict[str, object]:
+    def settings(method: OurMethod) -> dict[str, object]:
         return {**to_json(method.config), **asdict(method.comparison)}
 
     own = settings(OURS)

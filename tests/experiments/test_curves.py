@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rtgs.config import ScaleConfig
 from rtgs.experiments.curves import Curves, _Mean, replay
+from rtgs.experiments.methods import normalised_thermal
 from rtgs.experiments.rivals import INERF_L1, INERF_SSIM, NGF_PYRAMID, Rival
 from rtgs.experiments.rivals.ngf_pyramid import Ngf
-from rtgs.experiments.scenery import Trial
-from rtgs.experiments.synthetic import normalised_thermal
+from rtgs.experiments.trials import Trial
 from rtgs.experiments.variants import REFERENCE_ROW
 from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.scale import Objective

@@ -11,9 +11,11 @@ from tests.helpers.tiny_experiment import CONFIG, Stopped
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import SyntheticExperimentConfig
+from rtgs.experiments.methods import MI_WITHOUT_REPLAY
 from rtgs.experiments.records import ExperimentFolder
 from rtgs.experiments.rivals import OURS, RIVALS
-from rtgs.experiments.synthetic import RUN, folder_settings, synthetic_experiment, tasks_of
+from rtgs.experiments.synthetic import synthetic_experiment
+from rtgs.experiments.tasks import folder_settings, tasks_of
 from rtgs.experiments.variants import BEYOND, FAR, FAR_SCENE, PERTURBATIONS
 
 
@@ -22,7 +24,7 @@ def test_what_was_stopped_goes_on(stopped: Stopped) -> None:
     assert made >= {r.key for r in RIVALS} and OURS.key not in made and (stopped.out / "table_1.md") not in stopped.times
     assert {p: p.stat().st_mtime_ns for p in stopped.times} == stopped.times
     records = {r.method: r for r in ExperimentFolder(stopped.out, folder_settings(CONFIG)).records()}
-    assert set(records) == {r.key for r in RIVALS} | {OURS.key, RUN}
+    assert set(records) == {r.key for r in RIVALS} | {OURS.key, MI_WITHOUT_REPLAY}
     assert records[OURS.key].found == pytest.approx(stopped.removed["found"], rel=1e-6)
 
 
@@ -54,7 +56,7 @@ def test_folders_of_others_are_refused(finished: Path, tmp_path: Path) -> None:
 def test_work_is_seed_by_seed() -> None:
     tasks = tasks_of(SyntheticExperimentConfig(seeds=2))
     assert [t.scene for t in tasks[:6]] == list(SyntheticExperimentConfig().scenes) and {t.seed for t in tasks[:6]} == {0}
-    assert sum(t.methods == (RUN,) for t in tasks) == 6 and len(tasks) == 18
+    assert sum(t.methods == (MI_WITHOUT_REPLAY,) for t in tasks) == 6 and len(tasks) == 18
     every = tasks_of(SyntheticExperimentConfig(table="all"))
     assert {v.key for t in every for v in t.variants} == {v.key for v in (*PERTURBATIONS, *BEYOND, FAR)}
     assert {t.scene for t in every if FAR in t.variants} == {FAR_SCENE} and all(FAR not in t.variants[1:] for t in every)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rtgs.config import PAPER_EPSILON
-from rtgs.experiments.rivals import OURS, Own
+from rtgs.experiments.rivals import OURS, OurMethod
 from rtgs.scale import Comparison
 
 
-def _changed(key: str, title: str, comparison: Comparison | None = None, **settings: object) -> Own:
+def _changed(key: str, title: str, comparison: Comparison | None = None, **settings: object) -> OurMethod:
     config = replace(OURS.config, **settings)  # type: ignore[arg-type]
-    return Own(f"{OURS.key}_{key}", title, config, comparison or OURS.comparison)
+    return OurMethod(f"{OURS.key}_{key}", title, config, comparison or OURS.comparison)
 
 
 ABLATION = (

@@ -93,22 +93,30 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
         progress(done + 1, 2 * len(ran), row.title)
     note = ""
     if config.region is not None:
-        left, top, right, bottom = config.region
-        name = config.region_frame or scene.held_out_frames[0].name
-        inside = np.zeros_like(mask)
-        inside[top:bottom, left:right] = mask[top:bottom, left:right]
-        if not inside.any():
-            raise RtgsError(
-                f"--region {left} {top} {right} {bottom}: no row's pixels are compared there; choose one further inside."
-            )
+        frame = config.region_frame or scene.held_out_frames[0].name
+        inside = _region(config.region, mask)
         for row in ran:
-            means[row.key][f"region_{radiometry.suffix}"] = float(row.images[name][inside].mean())
-        shows = float(references[name][inside].mean())
+            means[row.key][f"region_{radiometry.suffix}"] = float(row.images[frame][inside].mean())
+        left, top, right, bottom = config.region
         note = (
-            f"Region: mean over x {left} to {right}, y {top} to {bottom} of {name}; "
-            f"the thermal image shows {shows:.2f} {radiometry.unit}."
+            f"Region: mean over x {left} to {right}, y {top} to {bottom} of {frame}; "
+            f"the thermal image shows {float(references[frame][inside].mean()):.2f} {radiometry.unit}."
         )
     return Scored(frames, means, float(mask.mean()), span.lo, span.hi, radiometry.unit, note, missing)
+
+
+def _region(box: tuple[int, int, int, int], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """`[h, w]`: the pixels of the mask within left, top, right, bottom.
+
+    Raises:
+        RtgsError: there are none.
+    """
+    left, top, right, bottom = box
+    inside = np.zeros_like(mask)
+    inside[top:bottom, left:right] = mask[top:bottom, left:right]
+    if not inside.any():
+        raise RtgsError(f"--region {left} {top} {right} {bottom}: no row's pixels are compared there; choose one further inside.")
+    return inside
 
 
 def _networks(mask: NDArray[np.bool_]) -> tuple[dict[str, Lpips], list[str]]:

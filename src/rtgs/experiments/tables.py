@@ -13,17 +13,17 @@ from rtgs.config import SyntheticExperimentConfig
 from rtgs.experiments.ablation import ABLATION
 from rtgs.experiments.csv_files import write_records_csv
 from rtgs.experiments.figures import draw_errors
+from rtgs.experiments.methods import METHODS, MI_WITHOUT_REPLAY
 from rtgs.experiments.provenance import Page, Provenance, command_line
 from rtgs.experiments.records import ExperimentFolder, Record
-from rtgs.experiments.rivals import INERF_L1, MUTUAL_INFORMATION, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
-from rtgs.experiments.scenery import SceneFacts
+from rtgs.experiments.rivals import MUTUAL_INFORMATION, NGF_PYRAMID, OURS, OURS_REFINED, RIVALS
+from rtgs.experiments.trials import SceneFacts
 from rtgs.experiments.variants import FAR, FAR_SCENE, REFERENCE, ROWS, Variant
 from rtgs.records.capture import Split
 
 SUCCESS_PCT = 2.0
-RUN = f"{MUTUAL_INFORMATION.key}_run"  # Adam that renders at every step, to check a replay
-_OTHERS = (INERF_L1.key, NGF_PYRAMID.key, OURS.key, OURS_REFINED.key)  # the methods of the other tables
-TITLES = {**{r.key: r.title for r in RIVALS}, **{own.key: own.title for own in (OURS, OURS_REFINED)}}
+_COLUMNS = METHODS["2"]  # of Table II and of what goes beyond the paper, which has fewer of them
+TITLES = {**{r.key: r.title for r in RIVALS}, **{method.key: method.title for method in (OURS, OURS_REFINED)}}
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def write_tables(folder: ExperimentFolder, config: SyntheticExperimentConfig) ->
             page = ablation_table(records, config)
         else:
             rows = (*ROWS[table], FAR) if table == "beyond" else ROWS[table]
-            here = [r for r in records if r.variant in {row.key for row in rows} and r.method in _OTHERS]
+            here = [r for r in records if r.variant in {row.key for row in rows} and r.method in _COLUMNS]
             title = "Table II: sensitivity" if table == "2" else "Beyond the paper"
             page = Page(f"{title}{_where(here, config)}", rows_table(here, rows))
         written.append(page.write(folder.path / f"table_{table}.md", provenance))
@@ -112,7 +112,7 @@ def table_1(records: Sequence[Record], config: SyntheticExperimentConfig) -> tup
 
 def rows_table(records: Sequence[Record], rows: Sequence[Variant]) -> str:
     """Median error and success rate of each method, one line a row of the table, in Markdown."""
-    methods = [key for key in _OTHERS if any(r.method == key for r in records)]
+    methods = [key for key in _COLUMNS if any(r.method == key for r in records)]
     lines = ["Med % / SR@2 %, of s; in brackets Med % of s·|t|, where the rig's length is off.", ""]
     lines += [
         "| perturbation | level | " + " | ".join(TITLES.get(m, m) for m in methods) + " |",
@@ -194,7 +194,7 @@ def _comparison(groups: dict[str, list[Record]]) -> list[str]:
 def _checks(records: Sequence[Record]) -> list[str]:
     """One line: how far replays are from runs that rendered at every step."""
     replayed = {(r.scene, r.seed): r for r in records if r.method == MUTUAL_INFORMATION.key}
-    runs = [(r, replayed[r.scene, r.seed]) for r in records if r.method == RUN and (r.scene, r.seed) in replayed]
+    runs = [(r, replayed[r.scene, r.seed]) for r in records if r.method == MI_WITHOUT_REPLAY and (r.scene, r.seed) in replayed]
     if not runs:
         return []
     apart = max(100 * abs(run.found - replay.found) / run.truth for run, replay in runs)

@@ -31,7 +31,7 @@ class Variant:
     frames: int | None = None
     thermal_share: float = 1.0
 
-    def capture(self, config: SynthConfig) -> SynthConfig:
+    def applied_to(self, config: SynthConfig) -> SynthConfig:
         """The capture's settings with the changes of this row."""
         size = None if self.thermal_share == 1.0 else round(config.size * self.thermal_share)
         return replace(config, thermal_size=size, **self.changes)

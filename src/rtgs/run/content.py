@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import sha256_of
 from rtgs.base.json_records import from_json, read_run_json, write_json
 from rtgs.io.image_files import IMAGE_SUFFIXES
 from rtgs.io.rig import read_json_object, without_radiometry
@@ -75,7 +76,7 @@ class Hashes:
         status, now_ns = path.stat(), time.time_ns()
         known = self._used.get(name) or self._known.get(name)
         if known is None or (known.size, known.mtime_ns, known.ctime_ns) != _status(status):
-            known = _Known(*_status(status), _sha256(path))
+            known = _Known(*_status(status), sha256_of(path))
         if now_ns - max(status.st_mtime_ns, status.st_ctime_ns) > self._settled_ns:
             self._used[name] = known
         return known.sha256
@@ -89,14 +90,6 @@ class Hashes:
 
 def _status(status: os.stat_result) -> tuple[int, int, int]:
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def read_content(capture: Path, rgb_ply: Path | None, hashes: Hashes) -> Content:

@@ -6,7 +6,7 @@ from rtgs.experiments.rivals.losses import ImageLoss, LossOf, Rival, RivalObject
 from rtgs.experiments.rivals.mutual_information import MUTUAL_INFORMATION
 from rtgs.experiments.rivals.ngf_pyramid import NGF_PYRAMID
 from rtgs.experiments.rivals.ngf_single import NGF_SINGLE
-from rtgs.experiments.rivals.ours import OURS, OURS_REFINED, Own
+from rtgs.experiments.rivals.ours import OURS, OURS_REFINED, OurMethod
 
 RIVALS: tuple[Rival, ...] = (INERF_SSIM, INERF_L1, NGF_SINGLE, NGF_PYRAMID, MUTUAL_INFORMATION)
 
@@ -21,7 +21,7 @@ __all__ = [
     "RIVALS",
     "ImageLoss",
     "LossOf",
-    "Own",
+    "OurMethod",
     "Rival",
     "RivalObjective",
 ]

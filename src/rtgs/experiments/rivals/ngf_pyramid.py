@@ -13,7 +13,7 @@ from rtgs.losses.ngf_fused import FusedNgf
 
 
 class Ngf:
-    """Eq. 7 with these settings."""
+    """Eq. 7 against one thermal image, as a loss of a gray picture and its tangent."""
 
     def __init__(
         self,

@@ -11,7 +11,7 @@ from rtgs.scale import Comparison, ScaleEstimate, estimate_scale
 
 
 @dataclass(frozen=True)
-class Own:
+class OurMethod:
     """A way to call `estimate_scale`. key: in file names. title: in tables."""
 
     key: str
@@ -23,7 +23,7 @@ class Own:
         return estimate_scale(scene, model, self.config, comparison=self.comparison)
 
 
-OURS = Own("ours", "ours", ScaleConfig(solver="global"))
-OURS_REFINED = Own(
+OURS = OurMethod("ours", "ours", ScaleConfig(solver="global"))
+OURS_REFINED = OurMethod(
     "ours_refined", "ours, refined", ScaleConfig(solver="global", refine=("rotation", "baseline-direction", "focal"))
 )

@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
-from rtgs.experiments.strategies.strategy import Given, Placement, Strategy, file_times
+from rtgs.experiments.strategies.strategy import Given, Placement, Strategy, content_of
 from rtgs.models import RgbModel
 from rtgs.records.scene import Scene
 from rtgs.renderer import render
@@ -95,4 +95,4 @@ def _place(given: Given, progress: Progress) -> Placement:
     return Placement(given.scene, scale_from_depth(given.scene, given.rgb_model, predict, progress=progress))
 
 
-METRIC_DEPTH = Strategy("depth", "Metric depth", _place, lambda given: file_times(given.config.depth_model))
+METRIC_DEPTH = Strategy("depth", "Metric depth", _place, lambda given: content_of(given.config.depth_model))

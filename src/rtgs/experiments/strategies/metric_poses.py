@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
-from rtgs.experiments.strategies.strategy import Given, Placement, Strategy, file_times
+from rtgs.experiments.strategies.strategy import Given, Placement, Strategy, content_of
 from rtgs.records.camera import Camera
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
@@ -170,4 +170,4 @@ def _place(given: Given, progress: Progress) -> Placement:
     return Placement(given.scene, scale_from_pairs(given.scene, load_mast3r(weights), progress=progress))
 
 
-MAST3R = Strategy("mast3r", "MASt3R", _place, lambda given: file_times(given.config.mast3r_weights))
+MAST3R = Strategy("mast3r", "MASt3R", _place, lambda given: content_of(given.config.mast3r_weights))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.files import sha256_of
 from rtgs.base.progress import Progress
 from rtgs.config import RealExperimentConfig
 from rtgs.models import RgbModel
@@ -69,9 +70,10 @@ class Strategy:
     inputs: Callable[[Given], Any]
 
 
-def file_times(path: Path | None) -> Any:
-    """Sizes and times of a model's files, for `Strategy.inputs`: another model is another row."""
+def content_of(path: Path | None) -> Any:
+    """Names and SHA-256 of a model's files, for `Strategy.inputs`: another model makes another row, a copy or a `touch` does not."""
     if path is None:
         return None
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    return [(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in files]
+    if not path.is_dir():
+        return [(path.name, sha256_of(path))]
+    return [(p.relative_to(path).as_posix(), sha256_of(p)) for p in sorted(path.rglob("*")) if p.is_file()]

@@ -95,7 +95,7 @@ class Trial:
         Args:
             clean: °C in every frame, from `temperatures`.
         """
-        config, capture = variant.capture(self.config), self.base.capture
+        config, capture = variant.applied_to(self.config), self.base.capture
         rig = written_rig(config, true_rig(config))
         frames = []
         for i, (gain, name) in enumerate(zip(contrast_gains(config), frame_names(config), strict=True)):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests.helpers.tiny_experiment import CONFIG
 
-from rtgs.experiments.scenery import Trial
-from rtgs.experiments.synthetic import scene_config
+from rtgs.experiments.tasks import scene_config
+from rtgs.experiments.trials import Trial
 from rtgs.experiments.variants import PERTURBATIONS, REFERENCE_ROW, groups
 from rtgs.synthetic import compiled_scene
 from rtgs.synthetic.camera_path import camera_path
