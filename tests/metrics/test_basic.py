@@ -21,7 +21,6 @@ LEFT[:, :16] = True
 
 def test_psnr_of_a_known_difference() -> None:
     assert psnr(np.full((4, 5), 0.6), np.full((4, 5), 0.5)) == pytest.approx(20.0)
-    assert psnr(np.full((4, 5), 26.0), np.full((4, 5), 25.0), data_range=10.0) == pytest.approx(20.0)
     assert psnr(A, A) == math.inf
     assert psnr(A, B) == pytest.approx(peak_signal_noise_ratio(torch.tensor(A), torch.tensor(B), data_range=1.0).item(), abs=1e-4)
 
@@ -36,7 +35,6 @@ def test_ssim_laws() -> None:
     assert ssim_index(A, B) == pytest.approx(ssim_index(B, A))
     assert ssim_index(A, B) < 0.999
     assert ssim_index(A[..., 0], B[..., 0]) == pytest.approx(ssim_index(A[..., :1], B[..., :1]))
-    assert ssim_index(10 * A, 10 * B, data_range=10.0) == pytest.approx(ssim_index(A, B))
     p, q = 0.2, 0.7  # constant images: the luminance term alone
     assert ssim_index(np.full((20, 20), p), np.full((20, 20), q)) == pytest.approx((2 * p * q + 1e-4) / (p * p + q * q + 1e-4))
 

@@ -75,7 +75,7 @@ def test_what_the_images_cannot_decide_is_said() -> None:
         with_rig(scene, sure), model, ScaleConfig(solver="global", init=1.0, refine=("baseline-direction", "focal"))
     )
     assert estimate.refinement is not None
-    assert estimate.refinement.undecided == ["baseline direction, a", "baseline direction, b"]
+    assert [f.name for f in estimate.refinement.freedoms if not f.decided] == ["baseline direction, a", "baseline direction, b"]
     focal = estimate.refinement.freedoms[-1]
     assert focal.decided and focal.std < 1.0 and focal.prior_std == pytest.approx(5.0)  # per cent
     # The length is not refined: its uncertainty is the scale's.

@@ -1,1 +1,1 @@
-"""What everything stands on: errors, progress, threads, JSON."""
+"""What every other room uses: errors, events, progress, threads, files, JSON, compilation."""

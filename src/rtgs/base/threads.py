@@ -1,4 +1,4 @@
-"""Work on many items at once, by threads, for kernels that let go of Python's lock."""
+"""Work on many items at once, by threads, for kernels that release the GIL."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ AT_ONCE = 8  # items that are handed to the threads together: to hand over one c
 def in_order(
     work: Callable[[A], B], items: Sequence[A], threads: int, is_here: Callable[[A], bool] = lambda item: False
 ) -> Generator[B]:
-    """`work` of each item, in the items' order. No more than twice `AT_ONCE` results are computed before they are asked for.
+    """`work` of each item, in the items' order.
+
+    Items are handed to the threads in parts of `AT_ONCE` / `threads`, at least one. No more than `threads` + 1 parts are computed before
+    their results are asked for.
 
     Args:
         is_here: for which items the calling thread does the work itself, in their turn: those whose kernels are parallel.

@@ -46,7 +46,7 @@ class Provenance:
         return Provenance(command, __version__, platform.python_version(), _cpu_model(), _core_count(), date.today().isoformat())
 
     def markdown(self) -> str:
-        """A small table."""
+        """Two columns in Markdown, below the heading `HEADING`."""
         machine = f"{self.cpu}, {self.cores} {'core' if self.cores == 1 else 'cores'}, Python {self.python}"
         rows = {"command": f"`{self.command}`", "version": self.version, "machine": machine, "date": self.day}
         return "\n".join([f"| {HEADING} | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())])

@@ -28,7 +28,7 @@ from rtgs.records.scene import Scene
 RGB_CAMERA_ID, THERMAL_CAMERA_ID, RIG_ID, THERMAL_RIG_ID = 1, 2, 1, 2
 _FAILURES = "failures.json"
 
-# Importing pycolmap makes SIGTERM print a stack trace and abort. It goes back to whoever had it, so that it can end work cleanly.
+# Importing pycolmap makes SIGTERM print a stack trace and abort. The handler from before is put back, so that it can end work cleanly.
 if threading.current_thread() is threading.main_thread() and (_handler := signal.getsignal(signal.SIGTERM)) is not None:
     signal.signal(signal.SIGTERM, _handler)
 

@@ -61,7 +61,7 @@ class SE3:
         return SE3(self.rotation, factor * self.translation)
 
     def to_torch(self, dtype: Any = None, device: Any = None) -> SE3:
-        """The same transform as torch tensors (float32 unless told otherwise, and where they are unless told to move)."""
+        """The same transform as torch tensors (float32 by default, and by default on the device where they are)."""
         import torch
 
         dtype = dtype or torch.float32

@@ -1,4 +1,4 @@
-"""Arithmetic of pictures that are stored channel by channel. Each call runs on one thread and lets go of Python's lock."""
+"""Arithmetic of pictures that are stored channel by channel. Each call runs on one thread and releases the GIL."""
 
 from __future__ import annotations
 

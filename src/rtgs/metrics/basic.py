@@ -15,11 +15,11 @@ from torchmetrics.functional.image import structural_similarity_index_measure
 SSIM_RADIUS_PX = 5  # torchmetrics' Gaussian window at σ = 1.5 is 11 × 11
 
 
-def psnr(render: ArrayLike, reference: ArrayLike, *, data_range: float = 1.0, mask: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio, 10 log₁₀(data_range² / MSE), in dB; infinite for equal images."""
+def psnr(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
+    """Peak signal-to-noise ratio, −10 log₁₀(MSE), in dB, of images in [0, 1]; infinite for equal images."""
     a, b, inside = checked(render, reference, mask)
     mse = float(np.mean((a - b)[inside] ** 2))
-    return float("inf") if mse == 0 else 10.0 * float(np.log10(data_range**2 / mse))
+    return float("inf") if mse == 0 else 10.0 * float(np.log10(1.0 / mse))
 
 
 def mae(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
@@ -28,10 +28,10 @@ def mae(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | No
     return float(np.mean(np.abs(a - b)[inside]))
 
 
-def ssim_index(
-    render: ArrayLike, reference: ArrayLike, *, data_range: float = 1.0, mask: NDArray[np.bool_] | None = None
-) -> float:
-    """Mean structural similarity (Wang et al. 2004) by torchmetrics: 11 × 11 Gaussian window, σ = 1.5, borders reflected.
+def ssim_index(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
+    """Mean structural similarity (Wang et al. 2004) of images in [0, 1], by torchmetrics.
+
+    Gaussian window of 11 × 11 pixels, σ = 1.5, borders reflected.
 
     With a mask, the mean of the SSIM map over the pixels whose window inside the image sees only true pixels: values outside the
     mask change nothing. An all-true mask gives the same as none.
@@ -45,7 +45,7 @@ def ssim_index(
     a, b = (np.where(inside[..., None], image, 0.0) for image in (a, b))  # a NaN outside the mask must not spread
     x, y = (torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None] for image in (a, b))
     # The mean is taken here because torchmetrics has changed over versions whether its own leaves the reflected border out.
-    _, values = structural_similarity_index_measure(x, y, sigma=1.5, data_range=float(data_range), return_full_image=True)
+    _, values = structural_similarity_index_measure(x, y, sigma=1.5, data_range=1.0, return_full_image=True)
     outside = torch.from_numpy(~inside).double()[None, None]
     reached = torch.nn.functional.max_pool2d(outside, 2 * SSIM_RADIUS_PX + 1, stride=1, padding=SSIM_RADIUS_PX)[0, 0]
     whole = reached < 0.5

@@ -24,6 +24,9 @@ DISTORTION_OF_MODEL: dict[str, tuple[str, ...]] = {
 }
 
 
+INTRINSICS = ("fl_x", "fl_y", "cx", "cy")  # names of the fields of `Camera` that scale with the picture
+
+
 @dataclass(frozen=True)
 class Camera:
     """Intrinsics, in pixels.
@@ -64,6 +67,18 @@ class Camera:
         """`[3, 3]` intrinsic matrix K."""
         return np.array([[self.fl_x, 0.0, self.cx], [0.0, self.fl_y, self.cy], [0.0, 0.0, 1.0]])
 
+    @property
+    def opencv_matrix(self) -> NDArray[np.float64]:
+        """`[3, 3]`: `matrix` in OpenCV's coordinates, which put pixel centres at integers."""
+        matrix = self.matrix
+        matrix[:2, 2] -= 0.5
+        return matrix
+
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels `[..., 2]` of points `[..., 3]` in camera axes, without the lens; meaningless where z is not above 0."""
+        x, y, z = points[..., 0], points[..., 1], points[..., 2]
+        return np.stack([self.fl_x * x / z + self.cx, self.fl_y * y / z + self.cy], axis=-1)
+
     def pinhole(self) -> Camera:
         """The same focal lengths, centre and size without the lens."""
         return Camera("PINHOLE", self.width, self.height, self.fl_x, self.fl_y, self.cx, self.cy)
@@ -80,7 +95,7 @@ class Camera:
 
         Only whole blocks of pixels count, so the size may round down. The focal lengths are divided exactly.
         """
-        parameters = {k: getattr(self, k) / factor for k in ("fl_x", "fl_y", "cx", "cy")}
+        parameters = {k: getattr(self, k) / factor for k in INTRINSICS}
         return replace(self, width=self.width // factor, height=self.height // factor, **parameters)
 
     def rows(self, every: int) -> Camera:
@@ -104,8 +119,7 @@ class Undistortion:
     def _map(self) -> NDArray[np.float32]:
         """`[H, W, 2]`: for each undistorted pixel where to read, in OpenCV's coordinates (pixel centres at integers)."""
         cam = self.camera
-        k_cv = cam.matrix
-        k_cv[:2, 2] -= 0.5
+        k_cv = cam.opencv_matrix
         size = (cam.width, cam.height)
         if cam.model == "OPENCV_FISHEYE":
             x, y = cv2.fisheye.initUndistortRectifyMap(k_cv, np.array(cam.distortion), np.eye(3), k_cv, size, cv2.CV_32FC1)

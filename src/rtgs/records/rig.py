@@ -33,7 +33,7 @@ class Rig:
     Attributes:
         rgb, thermal: intrinsics.
         rgb_from_thermal: translation in metres.
-        calibration_std: None when nobody says.
+        calibration_std: None where it is not stated.
         time_offset: how long after the RGB camera the thermal one fires, in intervals between frames.
     """
 

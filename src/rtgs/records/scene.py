@@ -1,4 +1,4 @@
-"""A capture with RGB poses: what every stage after structure from motion starts from."""
+"""The scene: images with RGB poses, and from them the poses of the thermal camera (Eq. 1)."""
 
 from __future__ import annotations
 

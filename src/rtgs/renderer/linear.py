@@ -103,7 +103,7 @@ class LinearRender:
 
     @property
     def nbytes(self) -> int:
-        """Memory that is kept."""
+        """How many bytes it keeps in memory."""
         return self._backend.nbytes
 
 
@@ -122,13 +122,12 @@ class LinearViews(Sequence[LinearRender]):
         camera: Camera,
         camera_from_world: Sequence[SE3],
         *,
-        channels: int = 1,
         settings: RenderSettings | None = None,
         budget_bytes: int = 2 << 30,
         keep_weights: bool = False,
         every: int = 1,
     ) -> None:
-        self._make = lambda pose: LinearRender(gaussians, camera, pose, channels=channels, settings=settings, every=every)
+        self._make = lambda pose: LinearRender(gaussians, camera, pose, settings=settings, every=every)
         self._poses = list(camera_from_world)
         self._kept: dict[int, LinearRender] = {}
         self._left, self._keep_weights = budget_bytes, keep_weights

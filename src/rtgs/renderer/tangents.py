@@ -16,7 +16,7 @@ from torch.autograd import forward_ad
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
-from rtgs.records.camera import Camera
+from rtgs.records.camera import INTRINSICS, Camera
 from rtgs.records.gaussians import Gaussians
 from rtgs.renderer import cpu
 from rtgs.renderer.cpu.layout import MAX_DIRECTIONS
@@ -126,7 +126,7 @@ def _by_dual_numbers(
                 return forward_ad.make_dual(value.clone(), rate)
 
             moving = {k: dual(torch.tensor(getattr(camera, k), dtype=dtype), torch.tensor(getattr(direction, k), dtype=dtype))
-                      for k in ("fl_x", "fl_y", "cx", "cy")}  # fmt: skip
+                      for k in INTRINSICS}  # fmt: skip
             moved = SE3(dual(pose.rotation, turn @ pose.rotation), dual(pose.translation, turn @ pose.translation + shift))
             view = render(gaussians, replace(camera, **moving), moved, settings=settings)  # type: ignore[arg-type]
 

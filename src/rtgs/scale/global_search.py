@@ -16,6 +16,7 @@ from rtgs.scale.minima import CoarseToFine, other_minima
 from rtgs.scale.objective import Objective
 from rtgs.scale.problem import Found, Problem
 from rtgs.scale.records import History, Scan, Step
+from rtgs.scale.resampling import QUANTILE_95
 from rtgs.scale.scan import local_minima, losses_over, scan_thetas
 from rtgs.scale.thermal_targets import EPSILON_FRAMES, Pictures, halvings
 from rtgs.scale.verdict import at_an_end, no_better_than_none, outside
@@ -141,7 +142,7 @@ class GlobalSearch:
             if count >= len(problem.frames) or not closed or enough:
                 break
             std_log, _ = resampled_interval(*curves.dense(), curves.minimum(), 0.0, seed)
-            if 1.96 * std_log <= problem.config.half_width:
+            if QUANTILE_95 * std_log <= problem.config.half_width:
                 break
             count *= 2
         return settled(curves, start.half_width, progress) if closed else curves, closed

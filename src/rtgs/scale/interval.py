@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtgs.scale.calibration import calibration_std_log
 from rtgs.scale.problem import Found, Problem
-from rtgs.scale.resampling import block_length, curve_minimum, resampled_minima, small_sample_factor
+from rtgs.scale.resampling import QUANTILE_95, block_length, curve_minimum, resampled_minima, small_sample_factor
 
 WIDEST = 0.5  # half-width of a 95 % interval in ln s, from which on a number would only mislead
 MODEL_PIXELS = 0.05
@@ -34,7 +34,7 @@ class Interval:
     @property
     def half_width(self) -> float:
         """Of the 95 % interval in ln s; 0 where there is none."""
-        return 0.0 if self.std_log is None else 1.96 * self.std_log
+        return 0.0 if self.std_log is None else QUANTILE_95 * self.std_log
 
 
 def find_interval(problem: Problem, found: Found) -> Interval:

@@ -13,10 +13,8 @@ from rtgs.scale.bracket import Bracket
 from rtgs.scale.descend import Descent, Place, descend
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import Minimum, Step
-from rtgs.scale.resampling import UNLIKELY, significance
+from rtgs.scale.resampling import RESAMPLES, UNLIKELY, significance
 from rtgs.scale.thermal_targets import Pictures
-
-_RESAMPLES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +107,7 @@ def other_minima(minima: Sequence[Refined], seed: int) -> tuple[Minimum, ...]:
     """The minima that are not the best, as they are reported: in how many resamples of the frames each is better than the best."""
     rng, found = np.random.default_rng(seed), list[Minimum]()
     for other in minima[1:]:
-        picks = rng.integers(len(other.above), size=(_RESAMPLES, len(other.above)))
+        picks = rng.integers(len(other.above), size=(RESAMPLES, len(other.above)))
         chance = float((other.above[picks].mean(axis=1) < 0).mean())
         found.append(Minimum(math.exp(other.place.theta), float(other.above.mean()), chance))
     return tuple(found)

@@ -17,13 +17,11 @@ from rtgs.losses.ngf import NgfPyramid
 from rtgs.losses.ngf_fused import FusedNgf
 from rtgs.maths.geometry import SE3
 from rtgs.models import RgbModel
-from rtgs.records.camera import Camera
+from rtgs.records.camera import INTRINSICS, Camera
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
 from rtgs.renderer import Direction, RenderSettings, render, render_with_tangents
 from rtgs.scale.rig_motion import scale_direction
-
-_INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ class Objective:
         Raises:
             RtgsError: no direction or more than eight.
         """
-        small = [replace(d, **{k: getattr(d, k) / self.reduction for k in _INTRINSICS}) for d in directions]
+        small = [replace(d, **{k: getattr(d, k) / self.reduction for k in INTRINSICS}) for d in directions]
         pose = camera_from_world.to_torch(torch.float64)
         return self._target(index).products(*self._with_tangents(camera.reduced(self.reduction), pose, small))
 
@@ -113,8 +111,8 @@ class Objective:
 
     @property
     def _compiled(self) -> bool:
-        """Whether the compiled loss can be used: on float32 pictures in main memory."""
-        return self._dtype == torch.float32 and self.model.gaussians.means.device.type == "cpu"
+        """Whether the compiled loss can be used: on float32 pictures."""
+        return self._dtype == torch.float32
 
     def _target(self, index: int) -> EdgeTarget:
         if not self._compiled:

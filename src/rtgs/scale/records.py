@@ -136,11 +136,6 @@ class Refinement:
             rig.time_offset,
         )
 
-    @property
-    def undecided(self) -> list[str]:
-        """Names of what the images do not decide."""
-        return [f.name for f in self.freedoms if not f.decided]
-
     def apply(self, scene: Scene) -> Scene:
         """The scene with its rig as refined."""
         thermal = replace(scene.rig.thermal, fl_x=self.fl_x, fl_y=self.fl_y)

@@ -20,6 +20,7 @@ from rtgs.scale.interval import WIDEST
 from rtgs.scale.newton import JointSolution, solve_jointly
 from rtgs.scale.problem import Problem
 from rtgs.scale.records import Refinement, ScaleEstimate
+from rtgs.scale.resampling import QUANTILE_95
 from rtgs.scale.rig_loss import RigLoss
 from rtgs.scale.rig_motion import motions, stated_motions
 from rtgs.scale.thermal_targets import Pictures
@@ -62,7 +63,7 @@ def refine(problem: Problem, estimate: ScaleEstimate, *, widest: float = WIDEST)
         estimate,
         sfm_per_metre=math.exp(theta),
         std_log=std_log,
-        ci95=(math.exp(theta - 1.96 * std_log), math.exp(theta + 1.96 * std_log)),
+        ci95=(math.exp(theta - QUANTILE_95 * std_log), math.exp(theta + QUANTILE_95 * std_log)),
         frames=tuple(f.name for f in problem.frames),
         local=curves.scan(),
         calibration_std_log=None if rig.calibration_std is None else calibration,
@@ -70,11 +71,9 @@ def refine(problem: Problem, estimate: ScaleEstimate, *, widest: float = WIDEST)
         renders=estimate.renders + joint.renders + curves.renders,
         refinement=refinement,
     )
-    if 1.96 * std_log <= widest:
+    if QUANTILE_95 * std_log <= widest:
         return refined
-    left_open = (
-        f"with the calibration refined, the scale is left open by a factor of {math.exp(1.96 * std_log):.2g} to either side."
-    )
+    left_open = f"with the calibration refined, the scale is left open by a factor of {math.exp(QUANTILE_95 * std_log):.2g} to either side."
     return replace(refined, status="unobservable", reason=left_open, std_log=None, ci95=None)
 
 

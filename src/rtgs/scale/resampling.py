@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-_RESAMPLES = 1000
+RESAMPLES = 1000
+QUANTILE_95 = 1.96  # of the normal distribution: half a 95 % interval in standard deviations
 UNLIKELY = 3.0  # standard errors, from which on a difference is clear
 
 
@@ -37,16 +38,14 @@ def small_sample_factor(frames: int, block: int) -> float:
     return math.sqrt(blocks / (blocks - 1)) * float(stats.t.ppf(0.975, blocks - 1) / stats.norm.ppf(0.975))
 
 
-def resampled_minima(
-    thetas: NDArray[np.float64], curves: NDArray[np.float64], seed: int, block: int = 1, resamples: int = _RESAMPLES
-) -> NDArray[np.float64]:
+def resampled_minima(thetas: NDArray[np.float64], curves: NDArray[np.float64], seed: int, block: int = 1) -> NDArray[np.float64]:
     """`[R]`: the minimum of the mean curve of each resample of the frames (circular block bootstrap)."""
     n = len(curves)
     rng = np.random.default_rng(seed)
-    starts = rng.integers(n, size=(resamples, -(-n // block)))
-    picks = ((starts[:, :, None] + np.arange(block)) % n).reshape(resamples, -1)[:, :n]
-    shares = np.zeros((resamples, n))
-    np.add.at(shares, (np.arange(resamples)[:, None], picks), 1.0 / n)
+    starts = rng.integers(n, size=(RESAMPLES, -(-n // block)))
+    picks = ((starts[:, :, None] + np.arange(block)) % n).reshape(RESAMPLES, -1)[:, :n]
+    shares = np.zeros((RESAMPLES, n))
+    np.add.at(shares, (np.arange(RESAMPLES)[:, None], picks), 1.0 / n)
     return curve_minima(thetas, shares @ curves)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3
+from rtgs.records.camera import INTRINSICS
 from rtgs.records.gaussians import Gaussians
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
@@ -23,7 +24,6 @@ Vector = NDArray[np.float64]
 _DIFFERENCE = 1e-4  # of a prior's standard deviation, for the derivatives of poses
 _POINTS = 2000
 _STILL = 1e-3  # pixels per standard deviation: less does not count as motion
-_INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,15 +128,17 @@ def _direction(ends: Sequence[Scene], name: str, s: float, pose: SE3) -> Directi
     width = 2 * _DIFFERENCE
     derivative = SE3((after.rotation - before.rotation) / width, (after.translation - before.translation) / width)
     cameras = [scene.rig.thermal for scene in ends]
-    lens = {k: (getattr(cameras[1], k) - getattr(cameras[0], k)) / width for k in _INTRINSICS}
+    lens = {k: (getattr(cameras[1], k) - getattr(cameras[0], k)) / width for k in INTRINSICS}
     return replace(Direction.between(derivative, pose), **lens)
 
 
 def _project(scene: Scene, name: str, theta: float, points: Vector) -> Vector:
     """`[P, 2]` pixels; NaN outside of the picture."""
     camera = scene.rig.thermal
-    x, y, z = scene.thermal_from_world(name, math.exp(theta)).apply(points).T
+    seen = scene.thermal_from_world(name, math.exp(theta)).apply(points)
     with np.errstate(all="ignore"):
-        uv = np.stack([camera.fl_x * x / z + camera.cx, camera.fl_y * y / z + camera.cy], axis=1)
-    inside = (z > 0) & (np.abs(uv - [camera.width / 2, camera.height / 2]) < [camera.width / 2, camera.height / 2]).all(axis=1)
+        uv = camera.project(seen)
+    inside = (seen[:, 2] > 0) & (np.abs(uv - [camera.width / 2, camera.height / 2]) < [camera.width / 2, camera.height / 2]).all(
+        axis=1
+    )
     return np.where(inside[:, None], uv, np.nan)

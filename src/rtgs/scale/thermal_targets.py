@@ -28,7 +28,7 @@ EPSILON_FRAMES = 6  # from which ε of the renders is measured
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Pictures:
     """Thermal images in [0, 1] and how renders are compared with them, from which objectives of any size are made.
 
@@ -71,18 +71,31 @@ class Pictures:
         masks = {f.name: _covered(scene, model, f) for f in frames} if comparison.covered else None
         weights, given = problem.config.level_weights, problem.config.epsilon
         levels = max(len(weights), halvings(scene) + 2)  # two at the smallest size
+        measured = 0
         if given is not None:
-            same = (given,) * levels
-            return Pictures(scene, model, frames, thermal, weights, same, same, comparison, masks)
-        own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels, comparison.across)
-        errors = []
-        for frame in some_of(frames, EPSILON_FRAMES):
-            errors.append(model_error(scene, model, frame))
-            problem.progress("noise")
-        everywhere = np.ones(errors[0].shape, dtype=bool)
-        other = mean_gradients(errors, everywhere, levels, comparison.across)
-        own, other = (tuple(comparison.edge * e for e in measured) for measured in (own, other))
-        return Pictures(scene, model, frames, thermal, weights, own, other, comparison, masks, renders=len(errors))
+            own = other = (given,) * levels
+        else:
+            own = mean_gradients([torch.from_numpy(image) for image in thermal.values()], valid, levels, comparison.across)
+            errors = []
+            for frame in some_of(frames, EPSILON_FRAMES):
+                errors.append(model_error(scene, model, frame))
+                problem.progress("noise")
+            everywhere = np.ones(errors[0].shape, dtype=bool)
+            other = mean_gradients(errors, everywhere, levels, comparison.across)
+            own, other = (tuple(comparison.edge * e for e in gradients) for gradients in (own, other))
+            measured = len(errors)
+        return Pictures(
+            scene=scene,
+            model=model,
+            frames=frames,
+            thermal=thermal,
+            level_weights=weights,
+            epsilon=own,
+            render_epsilon=other,
+            comparison=comparison,
+            masks=masks,
+            renders=measured,
+        )
 
     def edge_loss(self, halved: int = 0) -> EdgeLoss:
         """How pictures halved so many times are compared: with the level weights at full size, and with two equal levels below."""
@@ -90,18 +103,24 @@ class Pictures:
         levels = slice(halved, halved + len(weights))
         return EdgeLoss(
             weights,
-            self.epsilon[levels],
-            self.render_epsilon[levels],
-            self.comparison.per_edge,
-            self.comparison.across,
-            self.blur_px / 2**halved,
+            epsilon=self.epsilon[levels],
+            render_epsilon=self.render_epsilon[levels],
+            per_edge=self.comparison.per_edge,
+            across=self.comparison.across,
+            blur_px=self.blur_px / 2**halved,
         )
 
     def objective(self, halved: int = 0) -> Objective:
         """The loss of pictures halved so many times. The same object for the same size, so that its targets are prepared once."""
         if halved not in self._objectives:
             self._objectives[halved] = Objective(
-                self.scene, self.model, self.frames, self.edge_loss(halved), 2**halved, self.thermal, self.masks
+                self.scene,
+                self.model,
+                self.frames,
+                self.edge_loss(halved),
+                reduction=2**halved,
+                thermal=self.thermal,
+                masks=self.masks,
             )
         return self._objectives[halved]
 

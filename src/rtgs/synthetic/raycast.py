@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -236,7 +237,11 @@ def render_thermal(model: CompiledModel, camera: Camera, world_from_camera: SE3,
     return _render(camera, world_from_camera, supersampling, shade, 1)[..., 0].astype(np.float32)
 
 
-def _render(camera: Camera, world_from_camera: SE3, n: int, shade, channels: int) -> Floats:  # type: ignore[no-untyped-def]
+_Shade = Callable[[Floats, Floats], Floats]
+"""(origins `[R, 3]`, directions `[R, 3]`) of rays → `[R, C]`."""
+
+
+def _render(camera: Camera, world_from_camera: SE3, n: int, shade: _Shade, channels: int) -> Floats:
     """Mean over n × n rays a pixel, a band of rows at a time."""
     w, h = camera.width, camera.height
     x = ((np.arange(w * n) + 0.5) / n - camera.cx) / camera.fl_x  # the ray through pixel i's centre is at i + 0.5

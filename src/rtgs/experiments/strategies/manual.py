@@ -81,8 +81,7 @@ def triangulated(scene: Scene, picks: dict[str, tuple[float, float]]) -> NDArray
 
 def ray(camera: Camera, pixel: tuple[float, float]) -> NDArray[np.float64]:
     """`[3]`, unit length, camera axes: the direction that a pixel of a picture file looks in, lens included."""
-    matrix = camera.matrix
-    matrix[:2, 2] -= 0.5
+    matrix = camera.opencv_matrix
     point = np.array([[pixel]], dtype=np.float64) - 0.5  # OpenCV's pixel centres are integers
     if camera.model == "OPENCV_FISHEYE":
         x, y = cv2.fisheye.undistortPoints(point, matrix, np.array(camera.distortion))[0, 0]

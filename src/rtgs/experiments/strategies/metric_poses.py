@@ -64,11 +64,10 @@ def overlapping_pairs(scene: Scene) -> list[tuple[str, str]]:
     camera, points = scene.rig.rgb, scene.points.xyz
     seen = np.zeros((len(frames), len(points)), bool)
     for i, frame in enumerate(frames):
-        x, y, z = (scene.rgb_from_world(frame.name).apply(points)).T
-        ahead = z > 0
-        z = np.where(ahead, z, 1.0)
-        u, v = camera.fl_x * x / z + camera.cx, camera.fl_y * y / z + camera.cy
-        seen[i] = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        in_camera = scene.rgb_from_world(frame.name).apply(points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = camera.project(in_camera).T
+        seen[i] = (in_camera[:, 2] > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     poses = [scene.world_from_rgb[f.name] for f in frames]
     centres = np.stack([p.translation for p in poses])
     axes = np.stack([p.rotation[:, 2] for p in poses])
@@ -127,12 +126,10 @@ def metres_between(points_a: NDArray[np.float32], confidence: NDArray[np.float32
     y, x = np.nonzero((confidence >= np.median(confidence)) & np.isfinite(points_a).all(axis=-1))
     if len(x) < LEAST_INLIERS:
         return None
-    matrix = camera_b.matrix
-    matrix[:2, 2] -= 0.5  # OpenCV's pixel centres are integers
     done, _, shift, inliers = cv2.solvePnPRansac(
         points_a[y, x].astype(np.float64),
         np.stack([x, y], axis=1).astype(np.float64),
-        matrix,
+        camera_b.opencv_matrix,
         None,
         iterationsCount=200,
         reprojectionError=REPROJECTION_PX,

@@ -69,7 +69,7 @@ def weighted_sum(typingctx, channels, start, planes, index, step, splats, at):
 
 
 def _weights(builder: Any, context: Any, kind: Any, array: Any, index: Any) -> list[Any]:
-    """A block's."""
+    """The weights of a block's pixels, as lanes of uint16."""
     steps = (builder.add(index, index.type(LANES * q)) for q in range(REGISTERS))
     return [uint16_lanes(context, builder, kind, array, at) for at in steps]
 

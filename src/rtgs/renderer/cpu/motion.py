@@ -27,7 +27,6 @@ from rtgs.renderer.cpu.simd import LANES, lanes_of, magnitude, maximum, narrow, 
 from rtgs.renderer.settings import COVARIANCE_BLUR_PX2
 
 F = np.float32
-FREEDOMS = 10  # ω, v, fl_x, fl_y, cx, cy
 _BLUR = COVARIANCE_BLUR_PX2
 
 

@@ -214,7 +214,7 @@ def store_uint16(typingctx, array, index, value):
 
 @intrinsic
 def take_next(typingctx, counter):
-    """The counter's number, which is one more for whoever asks next: of `[1]` int64, shared between threads.
+    """The counter's number, which is then raised by one: of `[1]` int64, shared between threads.
 
     Threads that draw their work so end together, whatever slows one of them: another job, or a slower core.
     """

@@ -326,7 +326,7 @@ class Survey:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """W of one view. Its products are one thread's work and let go of Python's lock: views go side by side.
+    """W of one view. Its products run on one thread and release the GIL, so that several views can be used at once.
 
     Attributes:
         meetings: the matrix.
