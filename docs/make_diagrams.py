@@ -154,15 +154,18 @@ def scale_verdict() -> None:
 
 def thermal_decisions() -> None:
     """The order of the thermal fit's decisions."""
-    d = Diagram(480, 1080, "Flow chart: the decisions of the thermal fit, in order")
+    d = Diagram(480, 1180, "Flow chart: the decisions of the thermal fit, in order")
     x, w = 160, 300
+    d.parts.append('<g transform="translate(0 100)">')  # the other rows stand below this one
+    d.box(x, -55, w, 56, ["Rows: all, or one in two to four", "where there are many pixels"], FAIR)
+    d.arrow([(x, -27), (x, 15)])
     d.box(x, 45, w, 56, ["Leave every 8th training frame", "out: the validation frames"])
     d.arrow([(x, 73), (x, 107)])
     d.box(x, 137, w, 56, ["Least squares on the other frames,", "with and without offsets"])
     steps = [
         (["1  Drift: do offsets predict", "validation frames better?"], ["offsets of", "frames join the fit"]),
         (["2  Pattern: is something in the", "same place of every photograph?"], ["pattern", "subtracted"]),
-        (["3  Gains: does the contrast", "differ from frame to frame?"], ["gains of", "frames join the fit"]),
+        (["3  Gains: are there offsets, and", "does the contrast differ as well?"], ["gains of", "frames join the fit"]),
     ]
     right = x + w / 2
     for i, (question, answer) in enumerate(steps):
@@ -182,6 +185,7 @@ def thermal_decisions() -> None:
     d.box(x, 923, w, 60, ["Gauge: median gain 1,", "median offset 0"])
     d.arrow([(x, 953), (x, 997)])
     d.box(x, 1028, w, 60, ["thermal.ply, thermal.json", "with the decisions"], GOOD, bold=True)
+    d.parts.append("</g>")
     d.write("thermal_decisions")
 
 

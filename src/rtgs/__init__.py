@@ -14,7 +14,7 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 # torch and Numba each bring an OpenMP whose idle threads spin by default, and so take the cores from one another. The runtimes read
 # this when they load, so it has to come before torch is imported.

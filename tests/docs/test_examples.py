@@ -50,7 +50,7 @@ def test_an_example_is_short_and_says_how_to_call_it(path: Path) -> None:
 
 def test_the_example_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
-    truth = write_capture(tmp_path / "capture", SynthConfig(frames=16, size=64, thermal_clean=False))
+    truth = write_capture(tmp_path / "rtgs-demo" / "capture", SynthConfig(frames=16, size=64, thermal_clean=False))
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     exec(code, names)

@@ -34,7 +34,8 @@ class Camera:
     Attributes:
         model: COLMAP's name, a key of `DISTORTION_OF_MODEL`.
         width, height: image size.
-        fl_x, fl_y: focal lengths. cx, cy: principal point, pixel centres at half integers.
+        fl_x, fl_y: focal lengths.
+        cx, cy: principal point, pixel centres at half integers.
         k1 … p2: lens distortion; those a model does not name are zero.
     """
 
