@@ -1,7 +1,7 @@
 """Make the pictures of the tutorial from a finished demo: `python docs/make_tutorial_pictures.py rtgs-demo [VIEWS]`.
 
 VIEWS is the folder of `rtgs render rtgs-demo/run --out VIEWS --frames frame_008`. One screenshot is taken by hand:
-`docs/images/tutorial_report.jpg`, the top of the report in a window 640 pixels wide.
+`docs/images/tutorial_report.jpg`, the top of the report in a window 540 pixels wide.
 """
 
 from __future__ import annotations
