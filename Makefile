@@ -1,4 +1,5 @@
 # make test   everything a change has to pass: ruff, mypy, pytest
+# make quick  ruff, mypy and the tests that take less than a second: for the working day
 # make demo   the whole pipeline on a small capture, and its report
 # make lint   ruff and mypy alone
 # make docs   the site in docs/_build/html; any warning is an error
@@ -11,7 +12,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: test demo lint venv docs results clean-kernels
+.PHONY: test quick demo lint venv docs results clean-kernels
 .NOTPARALLEL:
 
 venv: $(STAMP)
@@ -38,12 +39,15 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 # Two test processes with one thread each: Numba's and torch's own threads would fight over the same cores.
-test: export NUMBA_NUM_THREADS = 1
-test: export OMP_NUM_THREADS = 1
-test: export MKL_NUM_THREADS = 1
+test quick: export NUMBA_NUM_THREADS = 1
+test quick: export OMP_NUM_THREADS = 1
+test quick: export MKL_NUM_THREADS = 1
 test: lint docs
 	$(BIN)/python tests/helpers/compile_kernels.py
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python -m pytest -q -n 2 --durations=15
+
+quick: lint
+	$(BIN)/python -m pytest -q -n 2 -m "not thorough" --durations=5
 
 demo: $(STAMP)
 	$(BIN)/rtgs demo
