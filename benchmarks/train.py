@@ -195,7 +195,7 @@ def plot(path: Path, curves: list[Curve]) -> None:
         axes.plot(c.seconds, c.psnr_db, marker=".", label=label, color=COLORS.get(c.name), alpha=0.5 if c.seed else 1.0)
     axes.set(xscale="log", xlabel=f"training time, s ({curves[0].threads} threads)", ylabel="held-out PSNR, dB")
     axes.grid(True, which="both", alpha=0.3)
-    axes.legend(loc="lower right")
+    figure.legend(loc="outside upper center", ncols=2, fontsize="small")  # beside the curves, not on them
     figure.savefig(path, dpi=110)
 
 
