@@ -125,7 +125,6 @@ def test_the_page_says_how_it_was_made(experiment: Path) -> None:
         (RealExperimentConfig(region=(5, 5, 9, 9), region_frame="f01"), "no held-out frame"),
         (RealExperimentConfig(manual=ManualConfig(("f01", "who"), 1.0)), "no frame 'who'"),
         (RealExperimentConfig(depth_model=Path("/nowhere")), "--depth-model"),
-        (RealExperimentConfig(plane_m=0.0), "--plane-m"),
     ],
 )
 def test_bad_settings_are_refused_before_any_work(tmp_path: Path, config: RealExperimentConfig, said: str) -> None:
@@ -133,6 +132,11 @@ def test_bad_settings_are_refused_before_any_work(tmp_path: Path, config: RealEx
     with pytest.raises(RtgsError, match=said):
         compare(*wall_scene(), estimate(TRUTH), tmp_path, config, recorder)
     assert recorder.titles == [] and not list(tmp_path.iterdir())
+
+
+def test_a_distance_that_is_none_cannot_be_asked_for() -> None:
+    with pytest.raises(RtgsError, match="plane_m"):
+        RealExperimentConfig(plane_m=0.0)
 
 
 def test_of_a_capture_by_one_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
