@@ -31,6 +31,7 @@ def test_every_name_resolves(name: str) -> None:
     assert value.__doc__, f"rtgs.{name} has no documentation"
 
 
+@pytest.mark.thorough
 def test_functions_are_reached_whatever_was_imported_first() -> None:
     names = [n for n in rtgs.__all__ if n.islower()]
     code = (

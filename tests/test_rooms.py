@@ -83,6 +83,7 @@ def modules() -> dict[str, Path]:
     return {".".join(("rtgs", *p.relative_to(SOURCE).with_suffix("").parts)): p for p in sorted(SOURCE.rglob("*.py"))}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("module", modules())
 def test_a_room_imports_only_from_rooms_below_it(module: str) -> None:
     found = violations(module, modules()[module].read_text(encoding="utf-8"))
@@ -95,6 +96,7 @@ def test_the_list_names_rooms_that_exist_and_no_file_stands_outside_of_them() ->
     assert {p.name for p in SOURCE.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
+@pytest.mark.thorough
 def test_every_import_of_a_module_gives_that_module() -> None:
     """No function hides the module of its own name: `import rtgs.X as m` is a module for every X, whatever was imported before."""
     names = [name.removesuffix(".__init__") for name in modules() if not name.endswith("__main__")]

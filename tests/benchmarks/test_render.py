@@ -12,6 +12,7 @@ from rtgs.renderer import RenderSettings, reference, render
 from rtgs.renderer.settings import ALPHA_MAX, ALPHA_MIN, COVARIANCE_BLUR_PX2, TRANSMITTANCE_MIN
 
 
+@pytest.mark.thorough
 def test_counts_are_the_references_pairs() -> None:
     model, (camera, pose) = bench.random_cloud(8000), bench.view(40, 24)
     work = floor.work(model, camera, pose, 16)

@@ -95,6 +95,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 HEAVY = ("torch", "numpy", "numba", "cv2", "pycolmap", "scipy", "matplotlib")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "output"),
     [
@@ -178,6 +179,7 @@ def test_what_the_system_refuses_is_no_traceback(capsys: pytest.CaptureFixture[s
     assert "file/run: Not a directory" in errors(capsys)
 
 
+@pytest.mark.thorough
 def test_synth_and_its_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--frames", "3", "--size", "16", "--supersampling", "1", "--no-thermal-clean", "--sfm-per-metre", "2"]
     assert code_of(["synth", "--out", str(tmp_path / "capture"), *arguments]) == 0

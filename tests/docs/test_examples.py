@@ -11,6 +11,8 @@ import pytest
 
 from rtgs.synthetic import SynthConfig, write_capture
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
 PRINTED = {

@@ -20,6 +20,8 @@ from rtgs.losses.edge_loss import EdgeLoss
 from rtgs.scale import Objective
 from rtgs.scale.adam import descend_by_adam
 
+pytestmark = pytest.mark.thorough
+
 SMOOTH = Rival("smooth", "ε of the size of edges", lambda thermal, mask: Ngf(thermal, mask, EdgeLoss(epsilon=0.1)), smooth_px=0.5)
 PAPER = ScaleConfig(solver="adam", steps=30, learning_rate=0.01)
 

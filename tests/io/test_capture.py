@@ -188,6 +188,7 @@ def test_silly_max_side(root: Path) -> None:
 
 
 @needs_arco
+@pytest.mark.thorough
 def test_arco() -> None:
     capture = load_capture(ARCO, rgb_max_side=480)
     assert len(capture.frames) == 40

@@ -54,6 +54,7 @@ def target_of(
 
 @both
 @per_edge_or_not
+@pytest.mark.thorough
 @pytest.mark.parametrize("level", [0.0, 0.37, 1.0])
 def test_a_featureless_render_scores_exactly_one(how: Implementation, level: float, per_edge: bool) -> None:
     target = how.target(textured(40, 52), settings=EdgeLoss(per_edge=per_edge))

@@ -103,6 +103,7 @@ def test_what_is_compiled_into_gsplat_is_what_the_settings_say() -> None:
 # --- what is refused -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_gsplat_is_imported_by_the_first_cuda_render_only() -> None:
     code = (
         "import sys, rtgs.renderer, rtgs.renderer.cuda\n"

@@ -25,6 +25,7 @@ def settings(backend: Backend, **more: Any) -> RenderSettings:
     return RenderSettings(backend=backend, **more)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("backend", BACKENDS)

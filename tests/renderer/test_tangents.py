@@ -60,6 +60,7 @@ def test_cpu_equals_reference_in_gray_and_in_fewer_bands() -> None:
     assert_forward_modes_agree(cloud(150, 3, 3), RenderSettings(sh_degree=1))
 
 
+@pytest.mark.thorough
 def test_cpu_equals_reference_over_many_tiles_and_behind_an_opaque_crowd() -> None:
     assert_forward_modes_agree(cloud(400, 1, 1, size=0.03), RenderSettings(), size=(150, 130))
     crowd = cloud(300, 0, 3, size=0.5)

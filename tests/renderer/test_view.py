@@ -43,6 +43,7 @@ def test_repetition_is_bit_identical() -> None:
         assert torch.equal(a, b)
 
 
+@pytest.mark.thorough
 def test_the_number_of_threads_is_invisible() -> None:
     # Numba takes its number of threads when it starts, and this process may have one: a process of its own with four.
     program = """

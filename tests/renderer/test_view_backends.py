@@ -36,6 +36,7 @@ def test_compiled_equals_reference_behind_an_opaque_crowd(compiled: Backend) -> 
     assert_backends_agree(crowd, pinhole(40, 24), RenderSettings(), loosen=10.0, backend=compiled)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("kind", INVISIBLE + VISIBLE)
 def test_compiled_equals_reference_on_degenerate_gaussians(

@@ -96,6 +96,7 @@ def test_another_emissivity_changes_no_pose_and_no_rgb_model(mine: Path) -> None
     assert changed(after, prints(mine)) == NAMES
 
 
+@pytest.mark.thorough
 def test_an_imported_model_counts_by_its_content(mine: Path, finished: Path, tmp_path: Path) -> None:
     for name in ("a.ply", "b.ply"):
         shutil.copy(finished / "rgb.ply", tmp_path / name)
@@ -109,6 +110,7 @@ def test_an_imported_model_counts_by_its_content(mine: Path, finished: Path, tmp
 # The same capture at another place
 
 
+@pytest.mark.thorough
 def test_a_copied_capture_redoes_nothing(run: Path, mine: Path) -> None:
     before = state(run, but=NOT_RESULTS)
     recorder, code = recorded(["run", str(mine), "--out", str(run)])

@@ -17,6 +17,8 @@ from tests.helpers.tiny_run import TINY, recorded, state
 from rtgs.base.errors import RtgsError
 from rtgs.run.lock import locked
 
+pytestmark = pytest.mark.thorough
+
 HOLD = "import sys, time; from pathlib import Path; from rtgs.run.lock import locked\n"
 HOLD += "with locked(Path(sys.argv[1])):\n    print('held', flush=True)\n    sys.stdin.readline()"
 

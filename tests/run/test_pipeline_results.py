@@ -46,6 +46,8 @@ from rtgs.run.stages import STAGES, TITLES, Stage
 from rtgs.run.swap import new_results
 from rtgs.scale.records import Refinement
 
+pytestmark = pytest.mark.thorough
+
 
 def test_a_sensors_pattern_is_kept_beside_its_model(finished: Path, tmp_path: Path) -> None:
     model = RunFolder(finished).read_thermal()

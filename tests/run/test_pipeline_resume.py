@@ -17,6 +17,8 @@ from rtgs.run.folder import RunFolder
 from rtgs.run.pipeline import Pipeline
 from rtgs.run.stages import TITLES
 
+pytestmark = pytest.mark.thorough
+
 
 def leave_rubbish(run: Path) -> None:
     """What a killed process leaves: half files under temporary names."""

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from rtgs.cli import main
@@ -15,6 +16,7 @@ MEDIAN_BOUND_C = 0.2  # measured: 0.09 °C
 SCALE_BOUND = 0.01  # measured: 0.0027
 
 
+@pytest.mark.thorough
 def test_temperatures_and_scale_of_a_run_are_those_of_the_scene(tmp_path: Path) -> None:
     """Held-out thermal views, drawn by the command that a user has, against the scene's own temperatures without noise."""
     capture, run, views = tmp_path / "capture", tmp_path / "run", tmp_path / "views"

@@ -19,6 +19,7 @@ from rtgs.scale.rig_loss import RigLoss
 from rtgs.scale.rig_motion import stated_motions
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("k", range(6))
 def test_a_calibration_error_moves_the_scale_as_predicted(k: int) -> None:
     scene, model = posts()

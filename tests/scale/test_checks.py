@@ -11,6 +11,7 @@ from tests.helpers.scale_scenes import GLOBAL, RIG, assembled, facing_walls, sof
 from rtgs.scale import Comparison, estimate_scale
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_soft_lens_is_noticed_and_allowed_for(seed: int) -> None:
     scene, model = spiral(seed, RIG, 1.3)
@@ -23,6 +24,7 @@ def test_a_soft_lens_is_noticed_and_allowed_for(seed: int) -> None:
     assert abs(softer.sfm_per_metre / 1.3 - 1) < 0.02
 
 
+@pytest.mark.thorough
 def test_renders_as_soft_as_the_lens_halve_the_error() -> None:
     errors = np.zeros((3, 2))
     for seed in range(3):

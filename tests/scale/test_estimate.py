@@ -54,6 +54,7 @@ def test_json_round_trip() -> None:
         assert from_json(ScaleEstimate, data, "scale.json") == estimate
 
 
+@pytest.mark.thorough
 def test_the_record_survives_json() -> None:
     scene, model = sequence()
     estimate = estimate_scale(scene, model, ScaleConfig(solver="global", init=1.0, refine=("focal", "time-offset")))

@@ -22,6 +22,7 @@ from rtgs.scale.resampling import curve_minimum
 from rtgs.scale.thermal_targets import halvings
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_global_search_finds_the_truth_in_any_unit(seed: int) -> None:
     truth, found = 1.3, []

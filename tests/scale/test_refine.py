@@ -46,6 +46,7 @@ def distance(a: Rig, b: Rig) -> dict[str, float]:
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "what, error, offset, left",
     [
@@ -83,6 +84,7 @@ def test_what_the_images_cannot_decide_is_said() -> None:
     assert estimate.std_log is not None and estimate.std_log > 0.04
 
 
+@pytest.mark.thorough
 def test_what_is_held_widens_the_interval() -> None:
     scene, model = sequence()
     refine = ScaleConfig(solver="global", init=1.0, refine=("focal",))

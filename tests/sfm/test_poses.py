@@ -24,6 +24,8 @@ from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.sfm.poses import run_sfm
 
+pytestmark = pytest.mark.thorough
+
 RGB = Camera("OPENCV", 320, 240, 300.0, 303.0, 161.5, 118.0, k1=-0.08, k2=0.02, p1=0.001, p2=-0.001)
 THERMAL = Camera("PINHOLE", 40, 32, 45.0, 45.0, 20.0, 16.0)
 N_FRAMES = 9

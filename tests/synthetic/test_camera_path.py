@@ -13,6 +13,7 @@ from rtgs.synthetic.rig import true_rig
 pytest.importorskip("embreex")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scene", [s for s in SCENES if s != "room"])
 def test_objects_stay_in_both_pictures(scene: SceneName) -> None:
     config = SynthConfig(scene=scene)

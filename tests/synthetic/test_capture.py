@@ -26,6 +26,7 @@ def capture(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return out, write_capture(out, SynthConfig(scene=request.param, frames=4, size=64, thermal_size=56, seed=1))
 
 
+@pytest.mark.thorough
 def test_files_follow_the_conventions(capture: tuple[Path, GroundTruth]) -> None:
     folder, truth = capture
     names = [f"frame_{i:03d}" for i in range(4)]

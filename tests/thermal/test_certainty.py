@@ -28,6 +28,7 @@ def lightly_held(scene: Scene) -> tuple[Fit, ThermalModel]:
     return fit, model_of(fit, x, scene, rgb)
 
 
+@pytest.mark.thorough
 def test_standard_error_is_that_of_repeated_noise() -> None:
     """Over noise drawn again and again: the scatter of the temperatures, and their distance from the truth."""
     runs = []
@@ -46,6 +47,7 @@ def test_standard_error_is_that_of_repeated_noise() -> None:
     assert np.corrcoef(np.log(stated[seen]), np.log(scatter[seen]))[0, 1] > 0.8  # it tells the sure from the unsure
 
 
+@pytest.mark.thorough
 def test_standard_error_is_the_inverse_matrixs() -> None:
     """Samples and blocks against the inverse of the whole matrix."""
     scene = noisy(0.5, 1)

@@ -67,6 +67,7 @@ def test_held_out_frames_change_nothing() -> None:
     assert a.range == b.range and a.history == b.history and a.sensor.drift == b.sensor.drift
 
 
+@pytest.mark.thorough
 def test_masked_pixels_change_nothing() -> None:
     scene, rgb, _ = ring()
     mask = np.ones((RIG.thermal.height, RIG.thermal.width), bool)
@@ -165,6 +166,7 @@ def test_same_twice() -> None:
     assert torch.equal(a.gaussians.sh, b.gaussians.sh) and torch.equal(a.background, b.background)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kept_bytes", [2 << 30, 1_200_000, 300_000])
 def test_threads_change_nothing(kept_bytes: int) -> None:
     """Nor where seven of 28 views have their weights kept and the others their lists, or half of them nothing."""

@@ -107,6 +107,7 @@ def _drawn(threads, numbers):  # type: ignore[no-untyped-def]
     return found
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_draw_every_number_once(threads: int) -> None:
     assert (_drawn(threads, 20_000).sum(axis=0) == 1).all()

@@ -18,6 +18,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Page:
     return page_of(make_run(tmp_path_factory.mktemp("report") / "run", renders=True))
 
 
+@pytest.mark.thorough
 def test_verdict_says_what_matters_in_words(whole: Page) -> None:
     for words in ("2.431 SfM units", "2.402 to 2.461", "baseline of 20 cm", "Scale found", "31.8 dB", "2.4 dB better", "0.58 °C"):
         assert words in whole.text, words
