@@ -1,5 +1,5 @@
 # make test   everything a change has to pass: ruff, mypy, pytest
-# make quick  ruff, mypy and the tests that take less than a second: for the working day
+# make quick  ruff, mypy and the tests that take less than half a second: for the working day
 # make demo   the whole pipeline on a small capture, and its report
 # make lint   ruff and mypy alone
 # make docs   the site in docs/_build/html; any warning is an error

@@ -47,6 +47,7 @@ def test_a_pixel_beside_the_cut_off_is_undecided() -> None:
         assert floor.work(nudged, camera, pose, 16).undecided.any() == expected
 
 
+@pytest.mark.thorough
 def test_the_rival_draws_what_the_reference_draws() -> None:
     pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
     import gsplat_torch as rival

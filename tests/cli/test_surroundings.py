@@ -13,7 +13,7 @@ import pytest
 from rtgs.cli import main
 from rtgs.io.image_files import list_images
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names of any bytes, and /proc")
+pytestmark = [pytest.mark.thorough, pytest.mark.skipif(sys.platform != "linux", reason="names of any bytes, and /proc")]
 RTGS = [sys.executable, "-m", "rtgs"]
 SYNTH = ["synth", "--frames", "3", "--size", "16", "--supersampling", "1", "--no-thermal-clean"]
 

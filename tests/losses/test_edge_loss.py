@@ -145,6 +145,7 @@ def test_per_edge_more_edge_is_no_merit_in_itself(how: Implementation) -> None:
 
 
 @per_edge_or_not
+@pytest.mark.thorough
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize(
     "epsilon, across", [(PAPER_EPSILON, SOBEL), (0.2, SOBEL), ((0.01, 0.1, 0.4), SOBEL), (0.2, (0.75, 2.5)), (0.2, (0.0, 4.0))]

@@ -25,6 +25,7 @@ def named(name: str) -> Callable[[str], str]:
     return lambda message: f"{name}: {message}"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("degree", "channels"), [(3, 1), (1, 3)])
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_reference_gradient_equals_finite_differences(degree: int, channels: int, antialiased: bool) -> None:

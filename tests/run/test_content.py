@@ -195,6 +195,7 @@ def test_a_damaged_memory_of_hashes_is_no_loss(tmp_path: Path, text: str) -> Non
 # The truth is not looked at
 
 
+@pytest.mark.thorough
 def test_the_truth_is_never_read(finished: Path, mine: Path, tmp_path: Path) -> None:
     (mine / "ground_truth.json").write_text("{ no JSON")
     assert recorded(["run", str(mine), "--out", str(tmp_path / "run"), *TINY])[1] == 0

@@ -83,6 +83,7 @@ def test_a_stage_that_refuses_its_input_leaves_results_and_settings(run: Path) -
     assert RunFolder(run).read_config() == config and all_complete(run)
 
 
+@pytest.mark.thorough
 def test_results_can_be_read_while_new_ones_are_made(capture: Path, run: Path) -> None:
     """A stage that is interrupted leaves them, the report says of which settings they are, and the earlier settings find them complete."""
     before = state(run, but=("hashes.json", "stages.json", "config.json", "report.html"))

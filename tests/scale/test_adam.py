@@ -15,6 +15,7 @@ from rtgs.scale import estimate_scale
 from rtgs.scale.adam import descend_by_adam
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_the_truth_is_found_in_any_sfm_unit_without_a_start(unit: float) -> None:
     scene, model = synthetic(unit)

@@ -35,6 +35,7 @@ def test_renders_as_soft_as_the_lens_halve_the_error() -> None:
     assert errors[:, 0].mean() < 0.6 * errors[:, 1].mean()
 
 
+@pytest.mark.thorough
 def test_a_wrong_pair_is_named() -> None:
     # Two frames of a camera that has moved by 2.6 px between them are swapped; the scale moves the picture by 6.4 px.
     scene, model = facing_walls(2.0, None, 1.0, 15)

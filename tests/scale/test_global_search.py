@@ -41,6 +41,7 @@ def test_the_global_search_finds_the_truth_in_any_unit(seed: int) -> None:
     np.testing.assert_allclose(found, found[1], rtol=2e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.25, 0.5])
 def test_a_coarse_thermal_camera_and_half_of_the_view(share: float) -> None:
     """Thermal pixels four times as large, or a camera that sees beyond the model: silhouettes and a part of the picture remain."""
@@ -69,6 +70,7 @@ def test_a_start_spares_the_scan() -> None:
     assert estimate.sfm_per_metre == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_loss_per_edge_does_not_prefer_to_stand_nearer() -> None:
     """Where the baseline points forwards, Eq. 6 with an ε of the size of edges falls with their number and sharpness."""
     scene, model = spiral(1, FORWARDS, 1.3)
@@ -78,6 +80,7 @@ def test_a_loss_per_edge_does_not_prefer_to_stand_nearer() -> None:
     assert abs(eq_6 / 1.3 - 1) > 0.015
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("weights", [(1.0,), (1.0, 1.0, 1.0, 1.0)])
 def test_few_and_many_levels_at_a_size_that_is_halved(weights: tuple[float, ...]) -> None:
     rig = Rig(RIG.rgb.resized(168, 144), RIG.thermal.resized(168, 132), RIG.rgb_from_thermal)
@@ -87,6 +90,7 @@ def test_few_and_many_levels_at_a_size_that_is_halved(weights: tuple[float, ...]
     assert abs(found / 1.3 - 1) < 0.01
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("across", [(0.75, 2.5), (0.0, 4.0)])
 def test_other_derivative_filters_find_the_scale_too(across: tuple[float, float]) -> None:
     scene, model = spiral(0, RIG, 1.3)

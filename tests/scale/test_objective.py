@@ -20,6 +20,7 @@ from rtgs.scale.problem import Problem
 from rtgs.scale.thermal_targets import Pictures
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("epsilon", [PAPER_EPSILON, 0.05])
 @pytest.mark.parametrize("theta", [-0.3, 0.02])
 def test_slope_equals_central_differences_in_float64(theta: float, epsilon: float) -> None:
@@ -49,6 +50,7 @@ def test_slope_of_the_cpu_back_end(theta: float) -> None:
         assert slope == pytest.approx(secant, rel=0.25, abs=0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reference", [False, True])
 @pytest.mark.parametrize("theta", [-0.3, 0.02])
 def test_forward_mode_equals_reverse_mode(theta: float, reference: bool) -> None:

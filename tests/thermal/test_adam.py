@@ -55,6 +55,7 @@ def test_known_temperatures_are_found_again() -> None:
     assert len(model.history["step"]) == len(model.history["loss"]) == 20 and model.history["step"][-1] == 400
 
 
+@pytest.mark.thorough
 def test_a_wrong_scale_fits_worse() -> None:
     scene, _, _ = known()
     right, wrong = (held_out_error_c(scene, fitted(s)) for s in (SFM_PER_METRE, 1.5 * SFM_PER_METRE))

@@ -58,6 +58,7 @@ def test_temperature_scale_does_not_matter() -> None:
     np.testing.assert_allclose((b - 27315) / 100, a, atol=0.01)
 
 
+@pytest.mark.thorough
 def test_held_out_frames_change_nothing() -> None:
     scene, rgb, _ = ring()
     rng = np.random.default_rng(0)
@@ -160,6 +161,7 @@ def test_eight_noisy_frames_get_a_ridge_that_suits_them() -> None:
     assert error_of_differences_c(model, scene) < 1.2 * error_of_differences_c(usual, scene) < 0.5
 
 
+@pytest.mark.thorough
 def test_same_twice() -> None:
     scene, rgb, _ = ring()
     a, b = (fit_thermal(scene, rgb, SFM_PER_METRE) for _ in range(2))
@@ -195,6 +197,7 @@ def test_small_images_get_one_thread() -> None:
     assert seen == {(1, 1)} and (nb.get_num_threads(), torch.get_num_threads()) == (many, before)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("drift", ["offset", "auto"])
 def test_one_row_of_several_leads_to_the_same(drift: Literal["offset", "auto"]) -> None:
     """Where there are many photographs: what some rows say leads where all of them lead; drift and vignetting go with it."""

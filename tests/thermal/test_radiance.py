@@ -128,6 +128,7 @@ def test_a_run_keeps_the_constants(tmp_path: Path) -> None:
         folder.read_thermal()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "radiometry", [CENTIKELVIN, CountsToCelsius(0.04, -100.0), CAMERA], ids=["centikelvin", "linear", "planck"]
 )

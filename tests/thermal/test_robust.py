@@ -12,6 +12,7 @@ from tests.helpers.thermal_scenes import fit_of, outliers, ring
 from rtgs.thermal.robust import solve_robustly
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("offsets", [False, True])
 def test_robust_solution_is_least_by_hubers_loss(offsets: bool) -> None:
     """By the loss's definition: nothing near it is less, its slope is gone, and no iteration raised it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from tests.helpers.made_up_run import evaluation, make_run, page_of, summary
 
 from rtgs.base.json_records import write_json
@@ -37,6 +38,7 @@ def test_without_held_out_frames_there_is_no_score(tmp_path: Path) -> None:
     assert "On views it never saw" not in page.text and "Thermal, scale ignored" in page.text
 
 
+@pytest.mark.thorough
 def test_why_a_score_is_missing(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     assert "LPIPS (AlexNet)" not in page_of(run).text
