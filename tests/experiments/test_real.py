@@ -21,6 +21,8 @@ from rtgs.experiments.real import compare
 from rtgs.run.folder import RunFolder
 from rtgs.synthetic import SynthConfig, write_capture
 
+pytestmark = pytest.mark.thorough
+
 CONFIG = RealExperimentConfig(region=(20, 10, 40, 30))
 
 

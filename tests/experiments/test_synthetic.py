@@ -18,6 +18,8 @@ from rtgs.experiments.synthetic import synthetic_experiment
 from rtgs.experiments.tasks import folder_settings, tasks_of
 from rtgs.experiments.variants import BEYOND, FAR, FAR_SCENE, PERTURBATIONS
 
+pytestmark = pytest.mark.thorough
+
 
 def test_what_was_stopped_goes_on(stopped: Stopped) -> None:
     made = {p.name.split(".")[3] for p in stopped.times if p.parent.name == "records"}
