@@ -18,6 +18,7 @@ from rtgs.synthetic.rig import true_rig, written_rig
 from rtgs.synthetic.sensor import noise_rng
 
 
+@pytest.mark.thorough
 def test_a_wrong_length_moves_the_curve_and_nothing_else(trial: Trial) -> None:
     """So descents under it are replayed on the curves of the true length."""
     clean = trial.temperatures(None)
