@@ -165,7 +165,7 @@ def thermal_decisions() -> None:
     steps = [
         (["1  Drift: do offsets predict", "validation frames better?"], ["offsets of", "frames join the fit"]),
         (["2  Pattern: is something in the", "same place of every photograph?"], ["pattern", "subtracted"]),
-        (["3  Gains: are there offsets, and", "does the contrast differ as well?"], ["gains of", "frames join the fit"]),
+        (["3  Gains: does the contrast", "differ from frame to frame?"], ["gains and offsets", "join the fit"]),
     ]
     right = x + w / 2
     for i, (question, answer) in enumerate(steps):

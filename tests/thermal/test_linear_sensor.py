@@ -42,6 +42,19 @@ def test_drift_is_found_again(gains: bool) -> None:
     assert error_of_differences_c(model, ring()[0]) < min(0.05, 0.2 * without)
 
 
+def test_gains_are_found_where_offsets_alone_explain_nothing() -> None:
+    """An automatic gain control that stretches contrast about the middle of the scene: offsets do not help, gains do."""
+    rng = np.random.default_rng(5)
+    gain, middle = rng.uniform(0.85, 1.15, 32), float(np.median(ring()[0].train_frames[0].thermal))
+    scene = changed(ring()[0], lambda i, t: middle + gain[i] * (t - middle) + 0.05 * rng.standard_normal(t.shape))
+    model = fit_thermal(scene, ring()[1], SFM_PER_METRE)
+    names = [f.name for f in scene.train_frames]
+    found, true = np.array([model.sensor.drift[n][0] for n in names]), gain[[int(n) for n in names]]
+    np.testing.assert_allclose(found / np.median(found), true / np.median(true), atol=0.04)  # of gains 0.3 apart
+    without = error_of_differences_c(fit_thermal(scene, ring()[1], SFM_PER_METRE, ThermalConfig(drift="off")), ring()[0])
+    assert error_of_differences_c(model, ring()[0]) < 0.5 * without
+
+
 def test_without_drift_none_is_modelled() -> None:
     rng = np.random.default_rng(6)
     noisy = changed(ring()[0], lambda _, t: t + 0.05 * rng.standard_normal(t.shape))

@@ -89,8 +89,6 @@ def choose_gains(
         return kind, start, Decision("gains", "off", f"The setting drift = {asked} excludes gains.")
     if not validation.is_enough:
         return kind, start, Decision("gains", "off", _too_few(validation))
-    if kind == "off":
-        return kind, start, Decision("gains", "off", "Gains are considered only where there are offsets.")
     share = validation.own_drift_share(kind, start.images)
     if share < settings.drift_share:
         return kind, start, Decision("gains", "off", _explains_little(share, settings))
