@@ -22,16 +22,16 @@ def write_whole(path: Path) -> Iterator[Path]:
         OSError: as the writing does, with `path` as its file name; `path` is then as it was, and nothing is left beside it.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    _remove(temporary)
+    remove(temporary)
     try:
         yield temporary
         if temporary.is_dir():
             old = _old(path)
-            _remove(old)
+            remove(old)
             if path.exists():
                 path.rename(old)
             temporary.rename(path)
-            _remove(old)
+            remove(old)
         else:
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
@@ -42,7 +42,7 @@ def write_whole(path: Path) -> Iterator[Path]:
             raise OSError(error.errno or EIO, error.strerror or str(error), str(path)) from error
         raise
     finally:
-        _remove(temporary)
+        remove(temporary)
 
 
 def write_text_whole(path: Path, text: str) -> None:
@@ -62,7 +62,8 @@ def _old(path: Path) -> Path:
     return path.with_name(f".{path.name}.old.tmp")
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with what is in it; or nothing, where there is nothing."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

@@ -9,7 +9,7 @@ from typing import Any
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, WarningLine, nobody
-from rtgs.base.files import write_whole
+from rtgs.base.files import remove, write_whole
 from rtgs.base.json_records import from_json, read_record, read_run_json, write_json
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_scene, write_scene
@@ -20,7 +20,7 @@ from rtgs.run import model_files
 from rtgs.run.config_file import SavedRun, is_run, read_config, write_config
 from rtgs.run.records import CaptureSummary
 from rtgs.run.stages import Stage
-from rtgs.run.swap import MAKING, remove, replace_results
+from rtgs.run.swap import MAKING, replace_results
 from rtgs.scale import ScaleEstimate
 
 

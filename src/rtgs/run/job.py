@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 
 from rtgs.base.events import Listener, ResultLine, WarningLine, long_work
+from rtgs.base.files import remove
 from rtgs.base.progress import Progress
 from rtgs.config import RunConfig
 from rtgs.records.capture import Capture
 from rtgs.records.scene import Scene
 from rtgs.run.folder import RunFolder
 from rtgs.run.stages import Stage
-from rtgs.run.swap import remove
 
 
 @dataclass(eq=False)

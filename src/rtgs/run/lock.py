@@ -10,8 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.files import recover
-from rtgs.run.swap import complete_replacement, remove
+from rtgs.base.files import recover, remove
+from rtgs.run.swap import complete_replacement
 
 try:
     import fcntl

@@ -6,11 +6,11 @@ to be done, and doing it twice changes nothing.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from rtgs.base.files import remove
 from rtgs.base.json_records import read_run_json, write_json
 
 MAKING = ".next.tmp"  # new results that are being made
@@ -58,11 +58,3 @@ def complete_replacement(run: Path) -> None:
             remove(run / path.name)
         path.replace(run / path.name)
     remove(new)
-
-
-def remove(path: Path) -> None:
-    """Remove a file, or a folder with what is in it; or nothing, where there is nothing."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
