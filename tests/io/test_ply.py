@@ -10,9 +10,10 @@ import torch
 import trimesh
 from numpy.lib.recfunctions import append_fields, drop_fields
 from plyfile import PlyData, PlyElement
+from tests.helpers.gaussian_clouds import cloud
 
 from rtgs.base.errors import RtgsError
-from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
+from rtgs.io.ply import THERMAL_PROPERTIES, read_background, read_ply, read_thermal_ply, write_ply
 from rtgs.maths.sh import C0
 from rtgs.records.gaussians import Gaussians
 
@@ -232,3 +233,19 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         write_ply(tmp_path / "no" / "model.ply", model(0, 3))
     with pytest.raises(ValueError, match="thermal"):
         write_ply(tmp_path / "model.ply", model(0, 3), celsius_range=(0, 1))
+
+
+def test_the_background_of_an_rgb_model_is_kept(tmp_path: Path) -> None:
+    color = tuple(torch.tensor([1.0, 0.123456789, 0.0]).tolist())
+    write_ply(tmp_path / "with.ply", cloud(3, 0, 3), background=color)
+    write_ply(tmp_path / "without.ply", cloud(3, 0, 3))
+    assert read_background(tmp_path / "with.ply") == color and read_background(tmp_path / "without.ply") is None
+
+
+@pytest.mark.parametrize("numbers", ["0.5 0.5", "0.5 0.5 red", "0.5 0.5 2", "nan 0 0"])
+def test_a_damaged_background_is_refused(tmp_path: Path, numbers: str) -> None:
+    write_ply(tmp_path / "model.ply", cloud(3, 0, 3), background=(0.5, 0.5, 0.5))
+    data = (tmp_path / "model.ply").read_bytes().replace(b"background 0.5 0.5 0.5", f"background {numbers}".encode())
+    (tmp_path / "model.ply").write_bytes(data)
+    with pytest.raises(RtgsError, match=r"model\.ply: unreadable comment 'rtgs background"):
+        read_background(tmp_path / "model.ply")

@@ -34,7 +34,7 @@ import rtgs
 from rtgs.base.events import WorkStarted
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_sparse
-from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply
+from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.models import SensorModel
 from rtgs.records.decision import Decision
@@ -227,8 +227,24 @@ def test_an_imported_model_takes_the_place_of_training(capture: Path, finished: 
     assert RunFolder(out).read_config().config.rgb_ply == (tmp_path / "theirs.ply").resolve()
     for name, tensor in read_ply(finished / "rgb.ply").tensors().items():
         assert torch.equal(tensor, read_ply(out / "rgb.ply").tensors()[name])
-    np.testing.assert_array_equal(RunFolder(out).read_rgb().background, 0)  # INRIA's PLY holds none
+    # A run's own file says which background it has, so that the model comes back as it was.
+    assert torch.equal(RunFolder(out).read_rgb().background, RunFolder(finished).read_rgb().background)
+    scores = [strict_json(run / "metrics.json") for run in (finished, out)]
+    assert all(scores[0][part] == scores[1][part] for part in ("rgb", "thermal", "thermal_naive"))
+    assert any("dB on training photographs" in line for line in recorder.lines)
     assert recorded(["run", str(capture), "--out", str(out)])[0].works == []
+
+
+def test_a_model_in_another_unit_is_refused_before_the_scale_is_looked_for(
+    capture: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_ply(tmp_path / "half.ply", read_ply(finished / "rgb.ply").scaled(0.5))
+    recorder, code = recorded(
+        ["run", str(capture), "--out", str(tmp_path / "run"), "--rgb-ply", str(tmp_path / "half.ply"), *TINY]
+    )
+    assert code == 2 and recorder.works == ["sfm", "rgb"]
+    error = capsys.readouterr().err
+    assert "half.ply: does not show what the photographs show" in error and "the unit of the capture's poses" in error
 
 
 def test_a_relative_capture_speaks_of_counts(capture: Path, finished: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ class RunConfig:
     rgb_max_side: Annotated[int, Range(16, 10**5)] = 960
     """RGB images are reduced to this many pixels on their longer side."""
     rgb_ply: Path | None = None
-    """A trained 3DGS model in the same world frame, to use instead of training one."""
+    """A trained 3DGS model in the frame and unit of the capture's poses, to use instead of training one."""
     sfm: SfmConfig = field(default_factory=SfmConfig)
     """Structure from motion, where the capture has no poses or no points."""
     rgb: RgbConfig = field(default_factory=RgbConfig)

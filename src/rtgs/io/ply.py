@@ -6,11 +6,14 @@ One vertex a Gaussian: `x y z`, `nx ny nz` (zero), `f_dc_0…2`, `f_rest_0…3(K
 A thermal model has one channel. Viewers expect three, so it is written three times over (they show it gray), with properties of
 floats beside it that viewers pass over (`temperature`, °C; `temperature_std`, its standard error; `views`, how many see the Gaussian)
 and comments from which reading takes it back to exactly one channel.
+
+INRIA's layout has no place for the colour behind the Gaussians. An RGB model of ours says it in a comment, and viewers pass over it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +31,7 @@ from rtgs.records.gaussians import Gaussians
 THERMAL_PROPERTIES = ("temperature", "temperature_std", "views")
 _THERMAL = "rtgs thermal"
 _RANGE = "rtgs celsius_range"
+_BACKGROUND = "rtgs background"
 _DEGREE_OF_REST = {0: 0, 9: 1, 24: 2, 45: 3}
 
 
@@ -49,6 +53,7 @@ def write_ply(
     *,
     celsius_range: tuple[float, float] | None = None,
     properties: Mapping[str, NDArray[np.float32]] | None = None,
+    background: Sequence[float] | None = None,
 ) -> None:
     """Write a model as binary little-endian float32; `path` appears whole or not at all.
 
@@ -58,6 +63,7 @@ def write_ply(
         celsius_range: °C at colour 0 and at colour 1, for thermal models only. Adds the property `temperature`, °C: the colour
             without its view-dependent part, max(0, ½ + C0 · dc), mapped linearly, unless `properties` has a better one.
         properties: names in `THERMAL_PROPERTIES` and `[N]` each, for thermal models only.
+        background: `[3]` in [0, 1], the colour behind an RGB model, for `read_background`.
 
     Raises:
         RtgsError: the model holds NaN or infinity, or the file cannot be written.
@@ -87,6 +93,8 @@ def write_ply(
     columns |= _columns("scale", arrays["log_scales"])
     columns |= _columns("rot", arrays["quats"])
     comments = [_THERMAL] if thermal else []
+    if background is not None:
+        comments.append(" ".join([_BACKGROUND, *(repr(float(v)) for v in background)]))
     if celsius_range is not None:
         lo, hi = (float(v) for v in celsius_range)
         comments.append(f"{_RANGE} {lo!r} {hi!r}")
@@ -115,6 +123,24 @@ def read_ply(path: Path) -> Gaussians:
         RtgsError: the file is missing, no PLY, cut short, lacks a field, or a field holds NaN or infinity; it names both.
     """
     return _read(Path(path))[0]
+
+
+def read_background(path: Path) -> tuple[float, float, float] | None:
+    """The colour in [0, 1] behind an RGB model, where its file states one, as files of `write_ply` do. `read_ply` has accepted the file.
+
+    Raises:
+        RtgsError: the comment does not hold three numbers from 0 to 1.
+    """
+    for comment in PlyData.read(str(path)).comments:
+        if comment.startswith(_BACKGROUND):
+            try:
+                red, green, blue = (float(v) for v in comment[len(_BACKGROUND) :].split())
+            except ValueError:
+                red = green = blue = math.nan
+            if not all(0.0 <= v <= 1.0 for v in (red, green, blue)):
+                raise RtgsError(f"{path}: unreadable comment '{comment}' (expected three numbers from 0 to 1)")
+            return red, green, blue
+    return None
 
 
 def read_thermal_ply(path: Path) -> ThermalPly:

@@ -86,11 +86,17 @@ def initial_background(scene: Scene, config: RgbConfig) -> Tensor:
 
     A blank background reaches the border of the picture. For any other, the border's median is as good a start as any colour.
     """
-    if config.background != "learned":
-        return torch.full((3,), 1.0 if config.background == "white" else 0.0)
+    fixed = fixed_background(config)
+    if fixed is not None:
+        return fixed
     # All images are loaded here for the first time, so this goes by threads.
     borders = list(in_order(_border, scene.train_frames, nb.get_num_threads()))
     return torch.as_tensor(np.median(np.concatenate(borders), axis=0), dtype=torch.float32)
+
+
+def fixed_background(config: RgbConfig) -> Tensor | None:
+    """`[3]`: the colour that the settings name; None where it is to be found from the photographs."""
+    return None if config.background == "learned" else torch.full((3,), 1.0 if config.background == "white" else 0.0)
 
 
 def _border(frame: Frame) -> NDArray[np.float32]:

@@ -33,7 +33,7 @@ def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[
     factor = scale.metres_per_sfm if metres else 1.0
     rgb, thermal = folder.read_rgb(), folder.read_thermal()
     out.mkdir(parents=True, exist_ok=True)
-    write_ply(out / "rgb.ply", rgb.gaussians.scaled(factor))
+    write_ply(out / "rgb.ply", rgb.gaussians.scaled(factor), background=rgb.background.tolist())
     write_thermal_ply(out / "thermal.ply", thermal, factor=factor)
     scaled = scaled_scene(scene, factor)
     files = {name: f"rgb/{name}.png" for name in scaled.world_from_rgb}

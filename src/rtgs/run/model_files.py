@@ -26,6 +26,7 @@ class RgbFile:
     background: Sequence[float]
     settings: RenderSettings
     history: Mapping[str, Sequence[float]]
+    decisions: tuple[Decision, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class ThermalFile:
 
 def write_rgb(run: Path, model: RgbModel) -> None:
     """Write `rgb.ply` and `rgb.json`."""
-    write_ply(run / "rgb.ply", model.gaussians)
-    write_json(run / "rgb.json", RgbFile(model.background.tolist(), model.settings, model.history))
+    write_ply(run / "rgb.ply", model.gaussians, background=model.background.tolist())
+    write_json(run / "rgb.json", RgbFile(model.background.tolist(), model.settings, model.history, model.decisions))
 
 
 def read_rgb(run: Path) -> RgbModel:
@@ -56,7 +57,7 @@ def read_rgb(run: Path) -> RgbModel:
         RtgsError: a file is missing or damaged.
     """
     file = read_record(RgbFile, run / "rgb.json")
-    return RgbModel(read_ply(run / "rgb.ply"), _tensor(file.background), file.settings, file.history)
+    return RgbModel(read_ply(run / "rgb.ply"), _tensor(file.background), file.settings, file.history, file.decisions)
 
 
 def write_thermal(run: Path, model: ThermalModel, name: str) -> None:

@@ -65,7 +65,7 @@ def _find_poses(job: Job) -> None:
 
 
 def _make_rgb_model(job: Job) -> None:
-    from rtgs.rgb.imported import model_from_ply
+    from rtgs.rgb.imported import import_model
     from rtgs.rgb.train import fit_rgb
 
     scene, ply = job.scene, job.config.rgb_ply
@@ -75,13 +75,15 @@ def _make_rgb_model(job: Job) -> None:
 
     if ply is not None:
         with job.work("rgb", "import of the RGB model"):
-            model = model_from_ply(ply, scene.extent, job.config.rgb.backend)
+            model, likeness = import_model(ply, scene, job.config.rgb)
+        told = f", {likeness.psnr:.2f} dB on training photographs"
     else:
         with job.work("rgb", TITLES["rgb"]) as progress:
             model = fit_rgb(scene, job.config.rgb, checkpoint=job.folder.checkpoint, progress=progress, snapshot=snapshot)
+        held_out = model.history.get("held_out_psnr")
+        told = f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else ""
     job.results.write_rgb(model)
-    held_out = model.history.get("held_out_psnr")
-    job.say(f"rgb: {len(model.gaussians):,} Gaussians" + (f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else ""))
+    job.say(f"rgb: {len(model.gaussians):,} Gaussians{told}")
 
 
 def _find_scale(job: Job) -> None:

@@ -68,7 +68,7 @@ def rgb(run: Folder, config: Annotated[RgbConfig, Flat], rgb_ply: Path | None, l
     Args:
         run: the run folder.
         config: settings.
-        rgb_ply: a trained 3DGS model in the same world frame, to use instead of training one.
+        rgb_ply: a trained 3DGS model in the frame and unit of the capture's poses, to use instead of training one.
     """
     _stage(_changed(run, listener, rgb=config, rgb_ply=rgb_ply), "rgb")
 

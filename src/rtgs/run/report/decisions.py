@@ -1,4 +1,4 @@
-"""Section: what the thermal fit decided by itself, with the errors and thresholds behind each decision."""
+"""Section: what the stages decided by themselves, with the errors and thresholds behind each decision."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import minus
 
 _TITLES = {
+    "background": "Background of the imported RGB model",
     "rows": "Rows of the photographs",
     "drift": "Drift of the sensor",
     "pattern": "Pattern of the sensor",
@@ -21,18 +22,18 @@ _COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after",
 
 
 def decisions_section(run: RunRecords) -> str:
-    """A table of the decisions in `thermal.json`; "" where none are recorded."""
+    """A table of the decisions in `rgb.json` and `thermal.json`; "" where none are recorded."""
     if not run.decisions:
         return ""
     head = "".join(f"<th>{column}</th>" for column in _COLUMNS)
     rows = "".join(_row(decision) for decision in run.decisions)
     note = (
-        "<p>The thermal fit makes these choices by itself, unless a setting makes them. It fits some of the training frames with and "
-        "without what is decided about, and compares the mean error on the other ones, the validation frames. Held-out frames are "
-        "not used.</p>"
+        "<p>A run makes these choices by itself, unless a setting makes them. The thermal fit fits some of the training frames with "
+        "and without what is decided about, and compares the mean error on the other ones, the validation frames. The background of "
+        "an imported RGB model is fitted to training photographs. Held-out frames are not used.</p>"
     )
     table = f'<table class="decisions"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
-    return section("Decisions of the thermal fit", f'{note}<div class="wide">{table}</div>')
+    return section("Decisions", f'{note}<div class="wide">{table}</div>')
 
 
 def _row(decision: Decision) -> str:

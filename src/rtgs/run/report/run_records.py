@@ -15,7 +15,7 @@ from rtgs.records.decision import Decision
 from rtgs.records.radiometry import Unit
 from rtgs.run.config_file import read_config
 from rtgs.run.folder import RunFolder
-from rtgs.run.model_files import ThermalFile
+from rtgs.run.model_files import RgbFile, ThermalFile
 from rtgs.run.records import CaptureSummary
 from rtgs.scale import ScaleEstimate
 
@@ -29,7 +29,7 @@ class RunRecords:
     Attributes:
         path: the run folder.
         capture: the capture's folder, from `config.json`. settings, version: likewise.
-        decisions: what the thermal stage decided by itself, from `thermal.json`.
+        decisions: what the stages decided by themselves, from `rgb.json` and `thermal.json`.
         older: stages whose results are of earlier settings or of an earlier capture, and are being made again.
     """
 
@@ -50,6 +50,7 @@ class RunRecords:
         Raises:
             RtgsError: a file cannot be read, or is not what this version writes.
         """
+        rgb = _optional(run / "rgb.json", lambda path: read_record(RgbFile, path))
         thermal = _optional(run / "thermal.json", lambda path: read_record(ThermalFile, path))
         config = _optional(run / "config.json", lambda path: read_config(path.parent))
         return RunRecords(
@@ -60,7 +61,7 @@ class RunRecords:
             summary=_optional(run / "capture_summary.json", CaptureSummary.read),
             scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
-            decisions=thermal.decisions if thermal else (),
+            decisions=tuple(d for file in (rgb, thermal) if file for d in file.decisions),
             older=_being_made_again(RunFolder(run)),
         )
 
