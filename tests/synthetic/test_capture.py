@@ -151,10 +151,33 @@ def test_other_peoples_files_are_left_alone(tmp_path: Path) -> None:
     [
         {"scene": "teapot"}, {"frames": 0}, {"size": 4}, {"thermal_size": 0}, {"supersampling": 0}, {"seed": -1},
         {"netd_c": -0.1}, {"baseline_m": math.nan}, {"blur_px": math.inf}, {"gain_jitter": 1.0}, {"rig_length_error": -1.0},
-        {"thermal_focal_error": math.nan}, {"rig_direction_error": math.inf}, {"sfm_per_metre": 0.0},
+        {"features": ("stripes",)}, {"thermal_focal_error": math.nan}, {"rig_direction_error": math.inf}, {"sfm_per_metre": 0.0},
     ],
 )  # fmt: skip
 def test_impossible_requests_name_their_field(tmp_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises(RtgsError, match=next(iter(wrong))):
         write_capture(tmp_path / "x", replace(SMALL, **wrong))
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.thorough
+def test_features_and_distractors_change_thermal_images_alone(tmp_path: Path) -> None:
+    plain = SynthConfig(scene="hotdog", frames=24, size=64, thermal_size=80, supersampling=1, seed=3)
+    write_capture(tmp_path / "plain", plain)
+    truth = write_capture(tmp_path / "features", replace(plain, features=("spots",), distractor=True))
+    a, b = file_bytes(tmp_path / "plain"), file_bytes(tmp_path / "features")
+    assert all(a[k] == b[k] for k in a if not k.startswith(("thermal/", "ground_truth")))
+    for name in truth.world_from_rgb:
+        before, after = clean_c(tmp_path / "plain", name), clean_c(tmp_path / "features", name)
+        without = "ground_truth/thermal_{}/" + name + ".tiff"
+        assert b[without.format("without_features")] == a[without.format("clean")]
+        excess = (after - before).astype(np.float64)
+        assert np.abs(excess).max() <= 15.001 and (name not in truth.features[0].views or np.abs(excess).max() > 10)
+        photographed = thermal_c(tmp_path / "features", name) - thermal_c(tmp_path / "plain", name)
+        added = truth.distractors[name].excess(truth.rig.thermal) if name in truth.distractors else 0
+        np.testing.assert_allclose(photographed, excess + added, atol=0.0101)  # the same noise; counts are 0.01 °C
+    stored = json.loads((tmp_path / "features" / "ground_truth.json").read_text())
+    assert (
+        stored["features"][0]["fwhm_m"] == truth.features[0].fwhm_m and stored["distractors"].keys() == truth.distractors.keys()
+    )
+    assert "features" not in json.loads((tmp_path / "plain" / "ground_truth.json").read_text())

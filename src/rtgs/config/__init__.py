@@ -14,10 +14,11 @@ from rtgs.config.rgb import QUALITIES, Backend, DensifyConfig, Quality, RgbConfi
 from rtgs.config.run import RunConfig
 from rtgs.config.scale import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, REFINABLE, ScaleConfig
 from rtgs.config.sfm import SfmConfig
-from rtgs.config.synthetic import SCENES, SceneName, SynthConfig
+from rtgs.config.synthetic import FEATURES, SCENES, SceneName, SynthConfig
 from rtgs.config.thermal import DriftKind, DriftSetting, ThermalConfig
 
 __all__ = [
+    "FEATURES",
     "PAPER_EPSILON",
     "PAPER_LEVEL_WEIGHTS",
     "QUALITIES",

@@ -10,6 +10,7 @@ from rtgs.config.ranges import Range, check_ranges
 
 SceneName = Literal["chair", "drums", "hotdog", "lego", "materials", "ship", "room", "plain"]
 SCENES: tuple[SceneName, ...] = get_args(SceneName)[:7]  # the eighth is too far away for any scale to show
+FEATURES = ("spots", "lines", "rectangle")
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,16 @@ class SynthConfig:
     """n: every pixel is the mean of n × n rays"""
     thermal_clean: bool = True
     """also write each thermal image in °C without blur, gain, noise or quantisation, beside the truth"""
+    features: tuple[str, ...] = ()
+    """what surfaces have in the thermal images alone: spots, lines, rectangle, hot and cold; none by default"""
+    distractor: bool = False
+    """in one training frame of ten, a warm thing stands in the thermal image that is no part of the scene"""
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        names = {name for part in self.features for name in part.split(",")} - {""}  # "a,b" is as good as "a b"
+        if unknown := sorted(names - set(FEATURES)):
+            raise RtgsError(f"features: {unknown[0]!r} is none; there are {', '.join(FEATURES)}")
+        object.__setattr__(self, "features", tuple(name for name in FEATURES if name in names))
         if self.scene not in get_args(SceneName):
             raise RtgsError(f"scene: no scene named {self.scene!r}; there are {', '.join(get_args(SceneName))}")

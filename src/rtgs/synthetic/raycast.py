@@ -226,12 +226,24 @@ def render_rgb(model: CompiledModel, camera: Camera, world_from_camera: SE3, sup
 
 def render_thermal(model: CompiledModel, camera: Camera, world_from_camera: SE3, supersampling: int = 2) -> NDArray[np.float32]:
     """`[H, W]` float32 °C."""
+    return render_values(model, camera, world_from_camera, supersampling, model.temperature_c, model.model.background_c)
+
+
+def render_values(
+    model: CompiledModel,
+    camera: Camera,
+    world_from_camera: SE3,
+    supersampling: int,
+    value: Callable[[Hits], Floats],
+    background: float,
+) -> NDArray[np.float32]:
+    """`[H, W]` float32: the mean over a pixel's rays of a value `[H]` of their hits, or of the background's."""
 
     def shade(origins: Floats, directions: Floats) -> Floats:
-        out = np.full((len(origins), 1), model.model.background_c)
+        out = np.full((len(origins), 1), background)
         hits = model.hits(origins, directions)
         if len(hits.ray):
-            out[hits.ray, 0] = model.temperature_c(hits)
+            out[hits.ray, 0] = value(hits)
         return out
 
     return _render(camera, world_from_camera, supersampling, shade, 1)[..., 0].astype(np.float32)

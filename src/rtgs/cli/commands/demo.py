@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from rtgs.base.events import Listener, ResultLine
-from rtgs.base.json_records import read_run_json
+from rtgs.base.json_records import read_run_json, to_json
 from rtgs.cli.commands.convert import make_synthetic
 from rtgs.cli.commands.run import run as whole_run
 from rtgs.cli.options import Hidden
@@ -31,7 +30,7 @@ def demonstrate(out: Path, capture: SynthConfig, config: RunConfig, listener: Li
 
     rig_json, truth_json = out / "capture" / "rig.json", out / "capture" / "ground_truth.json"
     made = rig_json.exists() and truth_json.exists()
-    if not made or read_run_json(truth_json)["config"] != asdict(capture):
+    if not made or read_run_json(truth_json)["config"] != to_json(capture):
         make_synthetic(out / "capture", capture, listener)
     whole_run(out / "capture", out / "run", config, listener)
     truth = read_run_json(truth_json)["sfm_per_metre"]
