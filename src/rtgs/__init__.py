@@ -20,6 +20,12 @@ __version__ = "0.2.0.dev0"
 # this when they load, so it has to come before torch is imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+# Numba shares parallel loops among threads through one of three libraries, and takes TBB wherever a system happens to have it. TBB's
+# waiting threads give up their turn over and over (sched_yield): on a busy machine others get it, and training becomes several times
+# slower than with OpenMP. `workqueue` is last, as it ends the process when two Python threads call parallel kernels at once. This
+# is an order of preference: NUMBA_THREADING_LAYER names one layer and is obeyed.
+os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
+
 if TYPE_CHECKING:
     from rtgs.base.errors import RtgsError
     from rtgs.config import RgbConfig, ScaleConfig, SfmConfig, ThermalConfig

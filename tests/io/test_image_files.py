@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 from tests.helpers.captures import NAMES, edit_rig, refused, thermal_counts
 
+from rtgs.base.errors import RtgsError
 from rtgs.io.capture import load_capture
-from rtgs.io.image_files import check_rgb, frame_name, in_thermal_folder, read_header, read_rgb
+from rtgs.io.image_files import MOST_JPEG_PIXELS, check_rgb, frame_name, in_thermal_folder, read_header, read_rgb, reduction_for
 
 
 def test_frame_names() -> None:
@@ -166,3 +169,83 @@ def test_the_quick_check_accepts_what_can_be_read(tmp_path: Path, mode: str, suf
     Image.new(mode, (37, 5)).save(path)
     check_rgb(path)
     assert read_rgb(path).shape == (5, 37, 3)
+
+
+def jpeg(path: Path, width: int, height: int) -> Path:
+    """A photograph-like JPEG: smooth, with fine detail of low contrast."""
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    rng = np.random.default_rng(width)
+    grey = 128 + 60 * np.sin(x / 37) * np.cos(y / 23) + rng.normal(0, 6, (height, width))
+    Image.fromarray(np.stack([grey, 0.8 * grey, 255 - grey], axis=2).clip(0, 255).astype(np.uint8)).save(path, quality=92)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stored", "wanted", "expected"),
+    [
+        ((4000, 3000), (960, 720), 2),  # a quarter would leave 1000, less than twice 960
+        ((8000, 6000), (960, 720), 4),
+        ((16320, 12240), (960, 720), 8),
+        ((1920, 1080), (960, 540), 1),  # not a single DCT step less than what is asked for
+        ((4002, 3002), (960, 720), 2),
+        ((4001, 3001), (960, 720), 1),  # would not be divided exactly, nor would the focal lengths
+        ((3000, 4000), (720, 960), 2),
+        ((3000, 4000), (960, 720), 2),  # shown after a quarter turn
+    ],
+)
+def test_how_far_a_jpeg_is_reduced(tmp_path: Path, stored: tuple[int, int], wanted: tuple[int, int], expected: int) -> None:
+    header = replace(read_header(jpeg(tmp_path / "a.jpg", 16, 8)), stored_size=stored)
+    assert reduction_for(header, wanted) == expected
+    if stored[0] < 16000:  # larger ones are refused, since a PNG is always decoded whole
+        assert reduction_for(replace(header, format="PNG"), wanted) == 1
+
+
+def test_a_jpeg_read_smaller_is_the_same_picture(tmp_path: Path) -> None:
+    """Decoded at half its size it differs from the whole one, averaged down, by less than the compression does."""
+    path = jpeg(tmp_path / "a.jpg", 320, 240)
+    whole = cv2.resize(read_rgb(path), (80, 60), interpolation=cv2.INTER_AREA)
+    half = cv2.resize(read_rgb(path, reduction=2), (80, 60), interpolation=cv2.INTER_AREA)
+    assert read_rgb(path, reduction=2).shape == (120, 160, 3)
+    assert -10 * np.log10(np.mean((whole - half) ** 2)) > 40
+    shifted = np.roll(whole, 1, axis=1)  # a pixel off would be seen
+    assert -10 * np.log10(np.mean((shifted - half) ** 2)) < 35
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_large_photographs_make_the_images_of_the_whole_ones(root: Path, orientation: int) -> None:
+    """Lens, camera and mask are those of the reduced picture."""
+    for name in NAMES:
+        (root / "rgb" / f"{name}.png").unlink()
+        path = jpeg(root / "rgb" / f"{name}.jpg", 640, 480)
+        if orientation != 1:
+            exif = Image.Exif()
+            exif[0x0112] = orientation
+            Image.open(path).rotate(90, expand=True).save(path, exif=exif, quality=95)
+    edit_rig(root, lambda d: d["rgb"].update(width=640, height=480, fl_x=600.0, fl_y=610.0, cx=325.0, cy=235.0))
+    small, whole = load_capture(root, rgb_max_side=80), load_capture(root, rgb_max_side=640)
+    assert small.rig.rgb == whole.rig.rgb.resized(80, 60) and small.frames[0].rgb.shape == (60, 80, 3)
+    expected = cv2.resize(whole.frames[0].rgb, (80, 60), interpolation=cv2.INTER_AREA)
+    inside = small.rgb_mask & (cv2.resize(whole.rgb_mask.astype(np.float32), (80, 60), interpolation=cv2.INTER_AREA) > 0.999)
+    assert inside.mean() > 0.8
+    assert -10 * np.log10(np.mean((small.frames[0].rgb - expected)[inside] ** 2)) > 38
+
+
+@pytest.mark.thorough
+def test_a_jpeg_above_pillows_limit_is_read(tmp_path: Path) -> None:
+    """200 megapixels, decoded at an eighth."""
+    path = tmp_path / "a.jpg"
+    Image.new("L", (16000, 12512), 77).save(path)
+    header = read_header(path)
+    assert reduction_for(header, (960, 751)) == 8
+    assert read_rgb(path, reduction=8).shape == (1564, 2000, 3)
+    with pytest.raises(RtgsError, match=r"a\.jpg: has more than 179 megapixels"):
+        reduction_for(header, (16000, 12512))
+
+
+def test_a_header_that_asks_for_gigapixels_is_refused(tmp_path: Path) -> None:
+    path = jpeg(tmp_path / "a.jpg", 16, 8)
+    data = path.read_bytes()
+    at = data.index(b"\xff\xc0") + 5
+    path.write_bytes(data[:at] + (60000).to_bytes(2, "big") * 2 + data[at + 4 :])
+    with pytest.raises(RtgsError, match=f"a.jpg: has more than {MOST_JPEG_PIXELS / 1e6:.0f} megapixels"):
+        read_header(path)

@@ -50,6 +50,10 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
     """Do what the command line asks for, and say in one line why it cannot be done."""
     if arguments[:1] == ["--version"]:
         print(f"rtgs {__version__}")
+        if arguments[1:] in (["-v"], ["--verbose"]):
+            from rtgs.base.machine import facts
+
+            print("\n".join(f"{name}: {value}" for name, value in facts().items()))
         return
     try:
         with sigterm_as_ctrl_c() as stopper:

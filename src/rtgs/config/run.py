@@ -19,6 +19,9 @@ class RunConfig:
 
     rgb_max_side: Annotated[int, Range(16, 10**5)] = 960
     """RGB images are reduced to this many pixels on their longer side."""
+    memory_gb: Annotated[float | None, Range(above=0, most=10**6)] = None
+    """Memory that the run may take, in GB (10⁹ bytes); None: 4, or three quarters of what is free where that is less. Images and weights
+    that do not fit are computed again, which takes longer."""
     rgb_ply: Path | None = None
     """A trained 3DGS model in the frame and unit of the capture's poses, to use instead of training one."""
     sfm: SfmConfig = field(default_factory=SfmConfig)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.memory import Memory
 from rtgs.images.cache import ImageCache
 from rtgs.io.colmap import read_sparse
 from rtgs.io.image_files import (
@@ -24,6 +25,7 @@ from rtgs.io.image_files import (
     list_images,
     read_header,
     read_rgb,
+    reduction_for,
 )
 from rtgs.io.rig import read_rig
 from rtgs.io.thermal_files import ThermalFile, check_formats, check_thermal_file, check_together, common_no_data, thermal_values
@@ -36,6 +38,7 @@ from rtgs.records.rig import Rig
 
 MIN_FRAMES = 3
 _INTRINSICS_TOLERANCE = 0.01
+_CHECK_BYTES = 16  # a pixel, while a file is checked: decoded, as counts, as values and as a copy
 
 
 def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int | None = None) -> Capture:
@@ -43,12 +46,13 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
 
     Everything that can be checked without decoding pixels is checked first; then every file is decoded once, so that a damaged one is
     found before hours of work. No image is kept: a frame makes its images when they are asked for, and those used last stay in
-    memory. RGB is undistorted at full resolution and then averaged down; thermal is undistorted and keeps its size.
+    memory. RGB is undistorted and then averaged down; thermal is undistorted and keeps its size. A JPEG that has twice the wanted pixels
+    or more on each side is decoded at 1/2, 1/4 or 1/8 of its size, as far as twice the wanted size is left.
 
     Args:
         root: the folder, with `rgb/`, `thermal/`, `rig.json` and optionally poses in `sparse/0` or `transforms.json`.
         rgb_max_side: RGB images are made no longer than this many pixels; smaller ones are left as they are.
-        cache_bytes: how much memory undistorted images may take; None: a quarter of the machine's. A frame takes about 10 MB. An image
+        cache_bytes: how much memory undistorted images may take; None: what `Memory.of()` gives them. A frame takes about 8 MB. An image
             that had to go is made again from its file, which takes 0.05 s for two megapixels.
 
     Returns:
@@ -75,9 +79,11 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     camera, poses, upright = _read_poses(root, raw_rig.rgb, rgb_headers, warnings)
     raw_rig = replace(raw_rig, rgb=camera)
 
-    cache = ImageCache(_quarter_of_memory() if cache_bytes is None else cache_bytes)
-    images = _Images(raw_rig, rig_file.radiometry, _size_within(raw_rig.rgb, rgb_max_side), cache, upright)
-    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
+    cache = ImageCache(Memory.of().images if cache_bytes is None else cache_bytes)
+    rgb_size = _size_within(raw_rig.rgb, rgb_max_side)
+    reductions = {header.path: reduction_for(header, rgb_size) for header in rgb_headers}
+    images = _Images(raw_rig, rig_file.radiometry, rgb_size, cache, upright, reductions)
+    with ThreadPoolExecutor(max_workers=_readers(rgb_headers + thermal_headers, cache.max_bytes)) as pool:
         try:
             checked = list(pool.map(images.check, rgb_files.values(), thermal_files.values()))
         except BaseException:
@@ -102,12 +108,10 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     )
 
 
-def _quarter_of_memory() -> int:
-    """A quarter of the machine's memory, in bytes; 2 GB where the system does not say."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 4
-    except (AttributeError, ValueError, OSError):
-        return 2 * 10**9
+def _readers(headers: list[ImageHeader], most_bytes: int) -> int:
+    """How many files are checked at once: one for each core, and no more than decode into the memory that images may take."""
+    largest = max(header.stored_size[0] * header.stored_size[1] for header in headers)
+    return max(1, min(8, os.cpu_count() or 1, most_bytes // (_CHECK_BYTES * largest)))
 
 
 class _Images:
@@ -115,22 +119,35 @@ class _Images:
 
     The cache keeps them in float32. Eight or 16 bits would take less memory but change results: an undistorted, averaged image has
     values between those levels.
+
+    Args:
+        reductions: how many times smaller each RGB file is decoded.
     """
 
     def __init__(
-        self, raw_rig: Rig, radiometry: Radiometry, rgb_size: tuple[int, int], cache: ImageCache, rgb_upright: bool
+        self,
+        raw_rig: Rig,
+        radiometry: Radiometry,
+        rgb_size: tuple[int, int],
+        cache: ImageCache,
+        rgb_upright: bool,
+        reductions: Mapping[Path, int],
     ) -> None:
         self.rgb_size, self._rgb_upright = rgb_size, rgb_upright
-        self._radiometry, self._cache = radiometry, cache
-        self._rgb_undistortion, self._thermal_undistortion = Undistortion(raw_rig.rgb), Undistortion(raw_rig.thermal)
-        self.rgb_mask = _shrink(self._rgb_undistortion.mask.astype(np.float32), rgb_size) > 1 - 1e-4  # all of it is valid
+        self._radiometry, self._cache, self._reductions = radiometry, cache, reductions
+        self._rgb_undistortions = {n: Undistortion(raw_rig.rgb.reduced(n)) for n in set(reductions.values())}
+        self._thermal_undistortion = Undistortion(raw_rig.thermal)
+        masks = [_shrink(u.mask.astype(np.float32), rgb_size) > 1 - 1e-4 for u in self._rgb_undistortions.values()]
+        self.rgb_mask = np.logical_and.reduce(masks)  # all of a pixel is valid
         self.thermal_mask = self._thermal_undistortion.mask
 
     def rgb(self, path: Path) -> NDArray[np.float32]:
         """`[H, W, 3]` of `rgb_size`, undistorted."""
 
         def make() -> NDArray[np.float32]:
-            return _shrink(_undistorted(self._rgb_undistortion, path, read_rgb(path, upright=self._rgb_upright)), self.rgb_size)
+            reduction = self._reductions[path]
+            image = read_rgb(path, upright=self._rgb_upright, reduction=reduction)
+            return _shrink(_undistorted(self._rgb_undistortions[reduction], path, image), self.rgb_size)
 
         return self._cache.get(path, make)
 

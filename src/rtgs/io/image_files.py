@@ -12,11 +12,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
+from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 
 from rtgs.base.errors import RtgsError
@@ -24,6 +25,10 @@ from rtgs.base.errors import RtgsError
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 # Pillow goes by a file's content. Left free, it would open an EPS of any name, for which it starts Ghostscript.
 IMAGE_FORMATS = ("JPEG", "PNG", "TIFF")
+_JPEG_MAGIC = b"\xff\xd8\xff"
+MOST_JPEG_PIXELS = 500_000_000  # a JPEG is decoded at a fraction of its size, but its header alone must not ask for any memory
+REDUCTIONS = (8, 4, 2)  # at which a JPEG can be decoded
+SPARE = 2  # a reduced JPEG keeps this many pixels for one that is wanted, so that undistorting it loses nothing that can be seen
 _ORIENTATION, _DATE_TIME, _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS_ORIGINAL = 0x0112, 0x0132, 0x8769, 0x9003, 0x9291
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_PHOTOMETRIC, _TIFF_SAMPLE_FORMAT = 0x0100, 0x0101, 0x0102, 0x0106, 0x0153
 _MIN_IS_WHITE, _UNSIGNED, _GDAL_NODATA = 0, 1, 0xA481
@@ -126,15 +131,30 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     for pixels that are stored sideways.
     """
     try:
-        with path.open("rb") as file, Image.open(file, formats=IMAGE_FORMATS) as image:
+        with path.open("rb") as file, _image_in(file) as image:
+            if isinstance(image, JpegImageFile) and image.width * image.height > MOST_JPEG_PIXELS:
+                raise _too_large(path, MOST_JPEG_PIXELS)
             yield image
     except Image.DecompressionBombError as error:
-        most = 2 * (Image.MAX_IMAGE_PIXELS or 0) / 1e6
-        raise RtgsError(
-            f"{path}: has more than {most:.0f} megapixels. Reduce all photographs of this camera, and its values in rig.json with them."
+        raise _too_large(
+            path, 2 * (Image.MAX_IMAGE_PIXELS or 0), "; or save them as JPEG, which is decoded at a fraction of its size"
         ) from error
     except (OSError, SyntaxError, ValueError) as error:
         raise _unreadable(path, error) from error
+
+
+def _image_in(file: BinaryIO) -> Image.Image:
+    """JPEGs are opened without `Image.open`, which refuses large ones. They need no memory before they are decoded."""
+    magic = file.read(len(_JPEG_MAGIC))
+    file.seek(0)
+    return JpegImageFile(file) if magic == _JPEG_MAGIC else Image.open(file, formats=IMAGE_FORMATS)
+
+
+def _too_large(path: Path, most: int, otherwise: str = "") -> RtgsError:
+    return RtgsError(
+        f"{path}: has more than {most / 1e6:.0f} megapixels. Reduce all photographs of this camera, and its values in rig.json with "
+        f"them{otherwise}."
+    )
 
 
 def _stored_size(image: Image.Image) -> tuple[int, int]:
@@ -167,22 +187,49 @@ def _time_s(exif: Image.Exif) -> float | None:
         return None
 
 
-def read_rgb(path: Path, *, upright: bool = True) -> NDArray[np.float32]:
+def reduction_for(header: ImageHeader, size: tuple[int, int]) -> int:
+    """How many times smaller a photograph is decoded where an image of `size` = (width, height) will be made of it: 8, 4, 2 or 1.
+
+    Only JPEGs can be decoded smaller, in a fraction of the time and memory. Both sides keep `SPARE` times the wanted pixels, and are
+    divided exactly, so that intrinsics are too.
+
+    Args:
+        size: in the orientation that the image will have, or a quarter turn from it.
+
+    Raises:
+        RtgsError: more than 179 megapixels would be decoded.
+    """
+    sides, wanted, most = sorted(header.stored_size), sorted(size), 2 * (Image.MAX_IMAGE_PIXELS or 0)
+    fitting = [
+        factor
+        for factor in (*REDUCTIONS, 1)
+        if all(side % factor == 0 and side // factor >= SPARE * want for side, want in zip(sides, wanted, strict=True))
+    ]
+    reduction = fitting[0] if fitting and header.format == "JPEG" else 1
+    if sides[0] * sides[1] > most * reduction**2:
+        raise _too_large(header.path, most, f", so that both sides can be divided by {REDUCTIONS[0]}")
+    return reduction
+
+
+def read_rgb(path: Path, *, upright: bool = True, reduction: int = 1) -> NDArray[np.float32]:
     """Decode a colour image: `[H, W, 3]` float32 in [0, 1]; grey images get three equal channels.
 
     Args:
         path: the file.
         upright: whether the file's orientation is applied; otherwise the pixels are as stored.
+        reduction: how many times smaller a JPEG is decoded (see `reduction_for`).
 
     Raises:
         RtgsError: the file is unreadable or truncated.
     """
-    image = _decode(path, upright=upright)
+    image = _decode(path, upright=upright, reduction=reduction)
     _check_rgb_mode(path, image.mode)
     if image.mode.startswith("I"):  # 16-bit grey, under the several names Pillow has for it
         grey = np.asarray(image, dtype=np.float32) / 65535.0
         return np.repeat(grey[..., None], 3, axis=2)
-    return np.asarray(image.convert("RGB"), dtype=np.float32) / 255.0
+    values = np.asarray(image.convert("RGB"), dtype=np.float32)
+    values /= 255.0
+    return values
 
 
 def check_rgb(path: Path) -> None:
@@ -194,10 +241,16 @@ def check_rgb(path: Path) -> None:
         RtgsError: as `read_rgb`.
     """
     with _opened(path) as image:
-        image.draft(None, (max(1, image.width // 8), max(1, image.height // 8)))
+        _draft(image, 8)
         image.load()
         mode = image.mode
     _check_rgb_mode(path, mode)
+
+
+def _draft(image: Image.Image, reduction: int) -> None:
+    """Have a JPEG decoded so many times smaller. Nothing happens for other formats."""
+    if reduction > 1:
+        image.draft(None, (max(1, image.width // reduction), max(1, image.height // reduction)))
 
 
 def _check_rgb_mode(path: Path, mode: str) -> None:
@@ -254,9 +307,10 @@ def write_upright(path: Path, target: Path) -> None:
     _decode(path).save(target)
 
 
-def _decode(path: Path, *, upright: bool = True) -> Image.Image:
+def _decode(path: Path, *, upright: bool = True, reduction: int = 1) -> Image.Image:
     with _opened(path) as image:
         back = _STORED_FROM_UPRIGHT.get(_orientation(image))
+        _draft(image, reduction)
         image.load()
         if upright or back is None:
             return ImageOps.exif_transpose(image)
@@ -266,5 +320,6 @@ def _decode(path: Path, *, upright: bool = True) -> Image.Image:
 
 def _unreadable(path: Path, error: Exception) -> RtgsError:
     # Pillow's own message often repeats the path; it is cut to one line that names the cause.
-    cause = "not an image that can be identified" if "cannot identify" in str(error) else str(error)
+    unknown = isinstance(error, SyntaxError) or "cannot identify" in str(error)
+    cause = "not an image that can be identified" if unknown else str(error)
     return RtgsError(f"{path}: cannot be read ({cause}). Copy or export the file again, or remove this pair.")

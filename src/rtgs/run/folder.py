@@ -11,6 +11,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, WarningLine, nobody
 from rtgs.base.files import remove, write_whole
 from rtgs.base.json_records import from_json, read_record, read_run_json, write_json
+from rtgs.base.memory import Memory
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_scene, write_scene
 from rtgs.models import RgbModel, ThermalModel
@@ -90,8 +91,10 @@ class RunFolder:
         """
         saved = self.read_config() if saved is None else saved
         self.check_capture(saved)
-        capture = load_capture(saved.capture, rgb_max_side=saved.config.rgb_max_side)
-        for warning in capture.warnings:
+        config = saved.config
+        memory = Memory.of(config.memory_gb)
+        capture = load_capture(saved.capture, rgb_max_side=config.rgb_max_side, cache_bytes=memory.images)
+        for warning in (*capture.warnings, *filter(None, [Memory.warning(config.memory_gb)])):
             listener(WarningLine(warning))
         return capture
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rtgs.base.events import Listener, ResultLine, WarningLine, long_work
 from rtgs.base.files import remove
+from rtgs.base.memory import Memory, release
 from rtgs.base.progress import Progress
 from rtgs.config import RunConfig
 from rtgs.records.capture import Capture
@@ -42,6 +43,11 @@ class Job:
         """As it is on disk when the stage begins: a resumed run sees the very same numbers as one that was not interrupted."""
         return self.folder.read_scene(self.capture, refined=self.stage.sees_refined_rig)
 
+    @cached_property
+    def memory(self) -> Memory:
+        """What this run may take."""
+        return Memory.of(self.config.memory_gb)
+
     @contextmanager
     def work(self, name: str, title: str) -> Iterator[Progress]:
         """A piece of long work, told to the listener and timed."""
@@ -49,6 +55,7 @@ class Job:
         with long_work(self.listener, name, title) as progress:
             yield progress
         self.seconds[name] = time.perf_counter() - start
+        release()  # what this work has needed is not added to what the next one needs
 
     @contextmanager
     def work_files(self, name: str) -> Iterator[Path]:

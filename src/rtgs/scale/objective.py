@@ -117,20 +117,23 @@ class Objective:
     def _target(self, index: int) -> EdgeTarget:
         if not self._compiled:
             return self.readable_target(index)
-        if index not in self._fused:
-            self._fused[index] = FusedNgf.of(self.readable_target(index))
+        if index not in self._fused:  # the readable one, in float64, takes three times the memory and is not needed any more
+            self._fused[index] = FusedNgf.of(self._readable_target(index))
         return self._fused[index]
 
     def readable_target(self, index: int) -> NgfPyramid:
         """Eq. 7 against one frame's thermal image in PyTorch, which autograd can differentiate."""
         if index not in self._readable:
-            frame, valid = self.frames[index], self.scene.capture.thermal_mask
-            # In float64, 1 − ‖n‖² is exact for the fused kernels; without them the loss computes in the model's own type.
-            image = torch.from_numpy(self._images[frame.name]).to(torch.float64 if self._compiled else self._dtype)
-            mask = valid if self.masks is None else self.masks[frame.name] & valid
-            small_mask = downsample_mask(torch.from_numpy(np.ascontiguousarray(mask)), self.reduction)
-            self._readable[index] = NgfPyramid.of(downsample(image, self.reduction), small_mask, self.edge_loss)
+            self._readable[index] = self._readable_target(index)
         return self._readable[index]
+
+    def _readable_target(self, index: int) -> NgfPyramid:
+        frame, valid = self.frames[index], self.scene.capture.thermal_mask
+        # In float64, 1 − ‖n‖² is exact for the fused kernels; without them the loss computes in the model's own type.
+        image = torch.from_numpy(self._images[frame.name]).to(torch.float64 if self._compiled else self._dtype)
+        mask = valid if self.masks is None else self.masks[frame.name] & valid
+        small_mask = downsample_mask(torch.from_numpy(np.ascontiguousarray(mask)), self.reduction)
+        return NgfPyramid.of(downsample(image, self.reduction), small_mask, self.edge_loss)
 
     @cached_property
     def _images(self) -> Mapping[str, NDArray[np.float32]]:
