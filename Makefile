@@ -2,6 +2,7 @@
 # make quick  ruff, mypy and the tests that take less than half a second: for the working day
 # make demo   the whole pipeline on a small capture, and its report
 # make lint   ruff and mypy alone
+# make fuzz   50,000 odd inputs for every reader; make fuzz FUZZ_INPUTS=2000 for fewer
 # make docs   the site in docs/_build/html; any warning is an error
 # make results PAGE=scale-units ARGS="--out DIR"   measure a page of results again (minutes to hours)
 # make clean-kernels   delete Numba's cache, which does not notice changes of other files than a kernel's own
@@ -12,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: test quick demo lint venv docs results clean-kernels
+.PHONY: test quick demo lint venv docs results clean-kernels fuzz
 .NOTPARALLEL:
 
 venv: $(STAMP)
@@ -39,15 +40,20 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 # Two test processes with one thread each: Numba's and torch's own threads would fight over the same cores.
-test quick: export NUMBA_NUM_THREADS = 1
-test quick: export OMP_NUM_THREADS = 1
-test quick: export MKL_NUM_THREADS = 1
+test quick fuzz: export NUMBA_NUM_THREADS = 1
+test quick fuzz: export OMP_NUM_THREADS = 1
+test quick fuzz: export MKL_NUM_THREADS = 1
 test: lint docs
 	$(BIN)/python tests/helpers/compile_kernels.py
 	$(BIN)/python -m pytest -q -n 2 --durations=15
 
 quick: lint
 	$(BIN)/python -m pytest -q -n 2 -m "not thorough" --durations=5
+
+FUZZ_INPUTS ?= 50000
+
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz.campaign --inputs $(FUZZ_INPUTS)
 
 demo: $(STAMP)
 	$(BIN)/rtgs demo

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgs.base.json_records import read_run_json, write_json
+from rtgs.base.json_records import read_json, write_json
 from rtgs.config import SCENES, RgbConfig, SceneName, SynthConfig
 from rtgs.experiments.trials import Trial, prepare
 from rtgs.experiments.variants import Variant
@@ -73,7 +73,7 @@ def run_view(folder: Path, config: SynthConfig, trials: int) -> list[Row]:
     numba.set_num_threads(1)
     torch.set_num_threads(1)
     done = folder / "coverage.json"
-    rows = [Row(**r) for r in read_run_json(done)] if done.exists() else []
+    rows = [Row(**r) for r in read_json(done)] if done.exists() else []
     if len(rows) >= 2 * trials:
         return rows[: 2 * trials]
     prepare(folder, config, RgbConfig(quality="fast"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import from_json, read_record, to_json, write_json
+from rtgs.base.json_records import DEEPEST, from_json, parse_json, read_json, read_record, to_json, write_json
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,9 @@ def test_what_does_not_fit_is_refused_by_file_and_field(change: dict[str, Any], 
     assert str(path) in str(refused.value) and "Remove it and run again" in str(refused.value)
 
 
-@pytest.mark.parametrize(("text", "said"), [("{ no JSON", "unreadable"), ("[]", "a JSON object is expected"), (None, "missing")])
+@pytest.mark.parametrize(
+    ("text", "said"), [("{ no JSON", "is not valid JSON"), ("[]", "a JSON object is expected"), (None, "no such file")]
+)
 def test_files_that_are_no_record(text: str | None, said: str, tmp_path: Path) -> None:
     path = tmp_path / "drawing.json"
     if text is not None:
@@ -123,3 +128,75 @@ def test_what_json_cannot_hold_leaves_the_file_as_it_was(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="JSON"):
         write_json(path, Point(float("nan"), 0.0))
     assert read_record(Point, path) == Point(1.0, 2.0) and [p.name for p in tmp_path.iterdir()] == ["point.json"]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 10**400, "1", None, [1.0], True])
+def test_a_number_is_finite_and_a_number(value: Any) -> None:
+    with pytest.raises(RtgsError, match="field 'x' of Point is"):
+        from_json(Point, parse_json(json.dumps({"x": value, "y": 1.0})), "here")
+
+
+def test_whole_numbers_have_63_bits() -> None:
+    for number in (0, -1, 2**63 - 1, -(2**63), 10**18):
+        assert parse_json(str(number)) == number and type(parse_json(str(number))) is int
+    for number in (2**63, -(2**63) - 1, 10**40):
+        assert parse_json(str(number)) == float(number) and type(parse_json(str(number))) is float
+    assert parse_json("9" * 400) == math.inf == -parse_json("-" + "9" * 9000)
+
+
+@pytest.mark.parametrize("levels", [DEEPEST, DEEPEST + 1, 900, 100_000])
+@pytest.mark.parametrize(("opened", "closed"), [("[", "]"), ('{"a":', "}")])
+def test_brackets_have_a_depth(levels: int, opened: str, closed: str) -> None:
+    text = opened * levels + "0" + closed * levels
+    if levels <= DEEPEST:
+        parse_json(text)
+    else:
+        with pytest.raises(ValueError, match="nested deeper than 50 levels"):
+            parse_json(text)
+
+
+@pytest.mark.parametrize("text", ['"\\ud800"', '{"\\udfff": 1}', '[[{"a": ["x\\udabcy"]}]]'])
+def test_text_is_unicode(text: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="surrogate"):
+        parse_json(text)
+    assert parse_json('"\\ud83d\\ude00"') == "😀"
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(RtgsError, match=r"a\.json: is not valid JSON .*surrogate.*Mend it"):
+        read_json(tmp_path / "a.json", remedy="Mend it.")
+
+
+def test_a_file_that_cannot_be_opened(tmp_path: Path) -> None:
+    (tmp_path / "loop.json").symlink_to("loop.json")
+    (tmp_path / "folder.json").mkdir()
+    (tmp_path / "bytes.json").write_bytes(b'"\xff"')
+    for name in ("loop", "folder", "bytes"):
+        with pytest.raises(RtgsError, match=rf"{name}\.json: .*Mend it"):
+            read_json(tmp_path / f"{name}.json", remedy="Mend it.")
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=8,
+)
+
+
+@given(st.sampled_from(sorted(to_json(FULL))), JSON)
+@settings(max_examples=200, derandomize=True, deadline=None)
+def test_any_value_for_any_field_is_read_back_the_same_or_refused(name: str, value: Any) -> None:
+    document = parse_json(json.dumps({**to_json(FULL), name: value}))
+    try:
+        drawing = from_json(Drawing, document, "here")
+    except RtgsError as refusal:
+        assert "here" in str(refusal) and len(str(refusal)) < 1000
+    else:
+        assert from_json(Drawing, parse_json(json.dumps(to_json(drawing))), "here") == drawing or name == "anything"
+
+
+@given(JSON)
+@settings(max_examples=200, derandomize=True, deadline=None)
+def test_any_document_is_parsed_or_no_json(value: Any) -> None:
+    try:
+        parse_json(json.dumps(value))
+    except ValueError as error:
+        assert str(error)

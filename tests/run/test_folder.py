@@ -80,4 +80,4 @@ def test_a_stage_that_ends_takes_the_later_ones_with_it(run: Path) -> None:
 def test_a_read_only_command_says_which_stage_is_missing(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (run / "thermal.json").unlink()
     assert recorded(["export", str(run), "--out", str(run.parent / "out")])[1] == 2
-    assert "thermal.json: missing; `rtgs run`" in capsys.readouterr().err
+    assert "thermal.json: no such file. `rtgs run`" in capsys.readouterr().err

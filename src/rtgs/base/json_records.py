@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
 
@@ -14,6 +15,10 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.files import write_text_whole
 
 T = TypeVar("T")
+
+DEEPEST = 50  # levels of brackets in a file; those of this package have fewer than ten
+RUN_MAKES_IT = "`rtgs run` on this folder makes it."
+RUN_AGAIN = "Remove it and run again."
 
 
 def to_json(value: Any) -> Any:
@@ -52,7 +57,7 @@ def from_json(cls: type[T], data: Any, where: str) -> T:
     data = {name: value for name, value in data.items() if name not in _properties(cls)}
     unknown = sorted(set(data) - set(fields))
     if unknown:
-        raise RtgsError(f"{where}: unknown field {unknown[0]!r} of {cls.__name__}; it was written by another version.")
+        raise RtgsError(f"{where}: unknown field {unknown[0]!r:.100} of {cls.__name__}; it was written by another version.")
     values = {}
     for name, value in data.items():
         try:
@@ -89,6 +94,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return [_value(arguments[0], v, where) for v in _list(value)]
     if hint is float and type(value) is int:
         return float(value)
+    if hint is float and type(value) is float and not math.isfinite(value):
+        raise ValueError
     if (value not in arguments) if origin is Literal else (type(value) is not (str if hint is Path else hint)):
         raise TypeError
     return Path(value) if hint is Path else value
@@ -126,28 +133,76 @@ def write_json(path: Path, value: Any) -> None:
     write_text_whole(path, text + "\n")
 
 
-def read_record(cls: type[T], path: Path) -> T:
+def read_record(cls: type[T], path: Path, *, missing: str = RUN_MAKES_IT, remedy: str = RUN_AGAIN) -> T:
     """A record from its JSON file.
+
+    Args:
+        missing, remedy: as for `read_json`.
 
     Raises:
         RtgsError: the file is missing, no JSON, or not of this record.
     """
-    data = read_run_json(path)
+    data = read_json(path, missing=missing, remedy=remedy)
     try:
         return from_json(cls, data, str(path))
     except RtgsError as error:
-        raise RtgsError(f"{error} Remove it and run again.") from None
+        raise RtgsError(f"{error} {remedy}") from None
 
 
-def read_run_json(path: Path) -> Any:
-    """A JSON file of a run folder.
+def read_json(path: Path, *, missing: str = RUN_MAKES_IT, remedy: str = RUN_AGAIN) -> Any:
+    """What a JSON file holds, by `parse_json`.
+
+    Args:
+        missing: what to do where there is no such file.
+        remedy: what to do about a damaged one.
 
     Raises:
-        RtgsError: it is missing, or no JSON.
+        RtgsError: it is missing, cannot be opened, or is no JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise RtgsError(f"{path}: missing; `rtgs run` on this folder makes it.") from None
+        raise RtgsError(f"{path}: no such file. {missing}") from None
+    except UnicodeDecodeError as error:
+        raise RtgsError(f"{path}: is not valid JSON ({error}). {remedy}") from error
+    except OSError as error:
+        raise RtgsError(f"{path}: cannot be read ({error.strerror}). {remedy}") from error
+    try:
+        return parse_json(text)
     except ValueError as error:
-        raise RtgsError(f"{path}: unreadable ({error}); remove it and run again.") from error
+        raise RtgsError(f"{path}: is not valid JSON ({error!s:.300}). {remedy}") from error
+
+
+def parse_json(text: str) -> Any:
+    """A JSON document, within bounds that every user of it can rely on.
+
+    Whole numbers have at most 63 bits; longer ones become floats, and infinity where a float cannot hold them. NaN and Infinity are read
+    as Python's parser reads them: whoever wants a number names the field in which it is not finite.
+
+    Raises:
+        ValueError: no JSON, nested deeper than `DEEPEST`, or with text that is not Unicode.
+    """
+    too_deep = ValueError(f"its brackets are nested deeper than {DEEPEST} levels")
+    try:
+        document = json.loads(text, parse_int=_whole_number)
+    except RecursionError:
+        raise too_deep from None
+    level = [document]
+    for _ in range(DEEPEST + 1):
+        texts = [key for value in level if isinstance(value, dict) for key in value]
+        texts += [value for value in level if isinstance(value, str)]
+        if any("\ud800" <= letter <= "\udfff" for some in texts if not some.isascii() for letter in some):
+            raise ValueError("it holds half of a surrogate pair, which is no character")
+        level = [inner for value in level for inner in _inside(value)]
+        if not level:
+            return document
+    raise too_deep
+
+
+def _whole_number(digits: str) -> int | float:
+    number = int(digits) if len(digits) <= 20 else float(digits)
+    return number if -(2**63) <= number < 2**63 else float(number)
+
+
+def _inside(value: Any) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()

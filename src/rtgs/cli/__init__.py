@@ -69,6 +69,8 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
         elif isinstance(error, UnicodeEncodeError):
             name = error.object[max(error.start - 60, 0) : error.end + 60]
             _complain(f"{name!r}: holds a name that is not UTF-8. Rename the file or folder.")
+        elif isinstance(error, RuntimeError) and "Symlink loop" in str(error):  # as pathlib says it before Python 3.13
+            _complain(f"{error}. Remove the link, or name what it was meant to lead to.")
         elif isinstance(error, OSError):  # a full disk, a folder that may not be written
             _complain(f"{error.filename}: {error.strerror}{_free_space(error)}" if error.filename else str(error))
         else:

@@ -57,6 +57,6 @@ class Row:
                     return None
                 found, seconds = data["numbers"].tolist()
                 images = dict(zip(data["names"].tolist(), data["images"], strict=True))
-        except (OSError, ValueError, KeyError) as error:
-            raise RtgsError(f"{path}: unreadable ({error}); remove it and call again.") from error
+        except Exception as error:  # zipfile, zlib and NumPy raise half a dozen kinds for a damaged file
+            raise RtgsError(f"{path}: unreadable ({error!s:.200}); remove it and call again.") from error
         return Row(path.stem, title, None if np.isnan(found) else found, images, seconds=seconds)

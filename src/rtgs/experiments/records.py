@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import read_record, read_run_json, write_json
+from rtgs.base.json_records import read_json, read_record, write_json
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ExperimentFolder:
         self.path = Path(path)
         written = self.path / "settings.json"
         if written.exists():
-            if read_run_json(written) != settings:
+            if read_json(written, remedy="Name another folder.") != settings:
                 raise RtgsError(f"{self.path}: holds results of other settings ({written.name}); name another folder.")
         elif self.path.is_dir() and any(self.path.iterdir()):
             raise RtgsError(f"{self.path}: holds something other than an experiment; name a new or empty folder.")
@@ -79,4 +79,7 @@ class ExperimentFolder:
         Raises:
             RtgsError: a file is no record of this version.
         """
-        return [read_record(Record, path) for path in sorted((self.path / "records").glob("*.json"))]
+        return [
+            read_record(Record, path, remedy="Remove it and call again.")
+            for path in sorted((self.path / "records").glob("*.json"))
+        ]

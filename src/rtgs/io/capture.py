@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from unicodedata import is_normalized
 
 import cv2
 import numpy as np
@@ -69,6 +70,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     rig_file = read_rig(root / "rig.json")
     warnings = list(rig_file.warnings)
     rgb_files, thermal_files = _paired_files(root)
+    warnings += _other_form(rgb_files, thermal_files)
     rgb_headers = [read_header(path) for path in rgb_files.values()]
     thermal_headers = [read_header(path) for path in thermal_files.values()]
     for header in thermal_headers:
@@ -189,6 +191,21 @@ def _paired_files(root: Path) -> tuple[dict[str, Path], dict[str, Path]]:
     if len(rgb) < MIN_FRAMES:
         raise RtgsError(f"{root}: holds {len(rgb)} image pairs; at least {MIN_FRAMES} are needed, and a few dozen are usual.")
     return rgb, thermal
+
+
+def _other_form(rgb: Mapping[str, Path], thermal: Mapping[str, Path]) -> list[str]:
+    """A warning where names of a pair are written in two forms of Unicode, which look alike."""
+    apart = [name for name, path in rgb.items() if not _same_form(path, thermal[name])]
+    if not apart:
+        return []
+    return [
+        f"{len(apart)} of {len(rgb)} names are written in another form of Unicode in thermal/ than in rgb/ (é as one character, or as e "
+        f"with an accent), {apart[0]} first. They are taken for the same names."
+    ]
+
+
+def _same_form(a: Path, b: Path) -> bool:
+    return is_normalized("NFC", a.stem) == is_normalized("NFC", b.stem)
 
 
 def _check_sizes(path: Path, which: str, camera: Camera, headers: list[ImageHeader], *, upright: bool = True) -> None:

@@ -5,7 +5,6 @@ COLMAP stores `camera_from_world`; records here hold `world_from_rgb`, inverted 
 
 from __future__ import annotations
 
-import json
 import signal
 import struct
 import threading
@@ -17,7 +16,7 @@ import numpy as np
 import pycolmap
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import write_json
+from rtgs.base.json_records import read_json, write_json
 from rtgs.io.image_files import frame_name, in_thermal_folder
 from rtgs.io.rig import absurd_intrinsics
 from rtgs.maths.geometry import SE3, quat_from_rotation, rotation_from_quat
@@ -57,7 +56,8 @@ def read_sparse(folder: Path) -> tuple[Camera, Poses]:
         RtgsError: unreadable, no registered image, several cameras, a camera model that isn't known, a pose that isn't finite.
     """
     model = _read_model(folder)
-    images = [image for image in model.images.values() if image.has_pose and not in_thermal_folder(image.name)]
+    file_names = _image_names(folder, model)
+    images = [image for i, image in model.images.items() if image.has_pose and not in_thermal_folder(file_names[i])]
     if not images:
         raise RtgsError(f"{folder}: holds no registered RGB image. Remove the folder to run structure from motion instead.")
     cameras = [_camera_from_colmap(folder, model.cameras[i]) for i in sorted({image.camera_id for image in images})]
@@ -67,13 +67,15 @@ def read_sparse(folder: Path) -> tuple[Camera, Poses]:
             "--ImageReader.single_camera 1."
         )
     world_from_rgb: dict[str, SE3] = {}
-    for image in sorted(images, key=lambda image: image.name):
-        name = frame_name(image.name)
+    for image in sorted(images, key=lambda image: file_names[image.image_id]):
+        name = frame_name(file_names[image.image_id])
         if name in world_from_rgb:
-            raise RtgsError(f"{folder}: two images are named {name!r} (without folder and suffix). Keep one pose for each image.")
+            raise RtgsError(
+                f"{folder}: two images are named {name!r:.100} (without folder and suffix). Keep one pose for each image."
+            )
         rgb_from_world = se3_from_rigid3d(image.cam_from_world())
         if not (np.isfinite(rgb_from_world.rotation).all() and np.isfinite(rgb_from_world.translation).all()):
-            raise RtgsError(f"{folder}: the pose of image {image.name} holds NaN or infinity. Remove the image from the model.")
+            raise RtgsError(f"{folder}: the pose of image {name} holds NaN or infinity. Remove the image from the model.")
         world_from_rgb[name] = rgb_from_world.inverse()
     return cameras[0], Poses(world_from_rgb, points_from_colmap(model))
 
@@ -156,12 +158,12 @@ def read_scene(path: Path, capture: Capture) -> Scene:
     strangers = sorted(set(poses.world_from_rgb) - {frame.name for frame in capture.frames})
     if strangers:
         raise RtgsError(
-            f"{path}: frame {strangers[0]!r} is not in {capture.root}. Remove the folder to redo structure from motion."
+            f"{path}: frame {strangers[0]!r:.100} is not in {capture.root}. Remove the folder to redo structure from motion."
         )
-    try:
-        failures = json.loads((path / _FAILURES).read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError) as error:
-        raise RtgsError(f"{path / _FAILURES}: cannot be read. Remove the folder {path} to redo structure from motion.") from error
+    again = f"Remove the folder {path} to redo structure from motion."
+    failures = read_json(path / _FAILURES, missing=again, remedy=again)
+    if not isinstance(failures, dict) or not all(isinstance(why, str) for why in failures.values()):
+        raise RtgsError(f"{path / _FAILURES}: does not give a reason for each frame. {again}")
     assert poses.points is not None
     return Scene(capture, poses.world_from_rgb, poses.points, failures)
 
@@ -213,6 +215,30 @@ def _read_model(folder: Path) -> pycolmap.Reconstruction:
         raise RtgsError(f"{folder}: is not a COLMAP model that can be read ({cause}). Export it again or remove it.") from error
 
 
+def _image_names(folder: Path, model: pycolmap.Reconstruction) -> dict[int, str]:
+    """Names of the images by id. COLMAP itself takes a name in a text model to end at its first space."""
+    try:
+        names = {i: image.name for i, image in model.images.items()}
+        text = folder / "images.txt"
+        if (folder / "images.bin").is_file() or not text.is_file():
+            return names
+        lines = text.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise RtgsError(
+            f"{folder}: names an image with bytes that are not UTF-8. Rename the image and export the model again."
+        ) from error
+    is_image = True  # and the line after an image holds its points, perhaps none
+    for line in lines:
+        words = line.strip().split(maxsplit=9)
+        if not is_image:
+            is_image = True
+        elif words and not words[0].startswith("#"):
+            is_image = False
+            if len(words) == 10 and words[0].isdecimal() and int(words[0]) in names:
+                names[int(words[0])] = words[9]
+    return names
+
+
 def _check_binary_lengths(folder: Path) -> None:
     """Refuse truncated binary files: COLMAP takes what it reads past the end for a count and works on it for minutes."""
     for name, walk in _WALKS.items():
@@ -222,7 +248,7 @@ def _check_binary_lengths(folder: Path) -> None:
         data = path.read_bytes()
         try:
             complete = walk(data, struct.unpack_from("<Q", data)[0]) <= len(data)
-        except (struct.error, ValueError):
+        except (struct.error, ValueError, OverflowError):
             complete = False
         if not complete:
             raise RtgsError(f"{path}: is truncated. Copy or export the model again, or remove the folder.")

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from PIL.JpegImagePlugin import JpegImageFile
-from PIL.TiffImagePlugin import TiffImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.TiffImagePlugin import OPEN_INFO, ImageFileDirectory_v2, TiffImageFile
 
 from rtgs.base.errors import RtgsError
 
@@ -31,7 +33,11 @@ REDUCTIONS = (8, 4, 2)  # at which a JPEG can be decoded
 SPARE = 2  # a reduced JPEG keeps this many pixels for one that is wanted, so that undistorting it loses nothing that can be seen
 _ORIENTATION, _DATE_TIME, _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS_ORIGINAL = 0x0112, 0x0132, 0x8769, 0x9003, 0x9291
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_PHOTOMETRIC, _TIFF_SAMPLE_FORMAT = 0x0100, 0x0101, 0x0102, 0x0106, 0x0153
-_MIN_IS_WHITE, _UNSIGNED, _GDAL_NODATA = 0, 1, 0xA481
+_MIN_IS_WHITE, _UNSIGNED, _SIGNED, _FLOAT, _GDAL_NODATA = 0, 1, 2, 3, 0xA481
+# Pillow decodes floats of 64 bits, and does not know TIFFs of them: NumPy's and MATLAB's default numbers.
+for _order, _raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
+    for _photometric in (0, 1):
+        OPEN_INFO[(_order, _photometric, (_FLOAT,), 1, (64,), ())] = ("F", _raw)
 _COUNT_MODES = ("L", "I", "I;16", "I;16B", "I;16L", "I;16N", "F")
 # What turns upright pixels back to the stored ones, by orientation.
 _STORED_FROM_UPRIGHT = {
@@ -57,6 +63,7 @@ class ImageHeader:
         time_s: when it was taken, in seconds by the camera's clock; None when EXIF does not say. EXIF names no time zone, so only
             differences between files of one camera mean something.
         no_data: the count that marks pixels without a value, as the tag GDAL_NODATA of a TIFF gives it; None when it does not.
+        bits: of one number in the file.
     """
 
     path: Path
@@ -66,6 +73,7 @@ class ImageHeader:
     orientation: int
     time_s: float | None = None
     no_data: float | None = None
+    bits: int = 8
 
     def size(self, *, upright: bool = True) -> tuple[int, int]:
         """Width and height: of the picture with its orientation applied, or of the stored pixels."""
@@ -76,11 +84,12 @@ class ImageHeader:
 def frame_name(file_name: str) -> str:
     """A frame's name from the way a pose file names its image: no folder, no image suffix.
 
-    Only image suffixes are dropped, so `a/10.5` and `./rgb/10.5.jpg` are both `10.5`.
+    Only image suffixes are dropped, so `a/10.5` and `./rgb/10.5.jpg` are both `10.5`. Names are in Unicode's composed form (NFC): some
+    systems write é as one character, others as e with an accent (NFD), and a file keeps the form it was copied with.
     """
     name = PurePosixPath(file_name.replace("\\", "/")).name
     suffix = PurePosixPath(name).suffix
-    return name[: -len(suffix)] if suffix.lower() in IMAGE_SUFFIXES else name
+    return normalize("NFC", name[: -len(suffix)] if suffix.lower() in IMAGE_SUFFIXES else name)
 
 
 def in_thermal_folder(file_name: str) -> bool:
@@ -119,8 +128,10 @@ def read_header(path: Path) -> ImageHeader:
         RtgsError: the file isn't a readable image.
     """
     with _opened(path) as image:
+        bits = _bits(image)  # before EXIF is asked for: Pillow decodes a PNG for it, and then forgets
         time_s, no_data = _time_s(image.getexif()), _no_data(image)
-        return ImageHeader(path, _stored_size(image), image.format or "", image.mode, _orientation(image), time_s, no_data)
+        kind = image.format or "", image.mode, _orientation(image)
+        return ImageHeader(path, _stored_size(image), *kind, time_s, no_data, bits)
 
 
 @contextmanager
@@ -139,7 +150,9 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise _too_large(
             path, 2 * (Image.MAX_IMAGE_PIXELS or 0), "; or save them as JPEG, which is decoded at a fraction of its size"
         ) from error
-    except (OSError, SyntaxError, ValueError) as error:
+    except RtgsError:
+        raise
+    except Exception as error:  # besides its own errors, Pillow raises whatever its arithmetic with a damaged tag does
         raise _unreadable(path, error) from error
 
 
@@ -159,7 +172,17 @@ def _too_large(path: Path, most: int, otherwise: str = "") -> RtgsError:
 
 def _stored_size(image: Image.Image) -> tuple[int, int]:
     """Width and height in the file. Pillow's own size is upright for TIFF, and as stored for the other formats."""
-    return (image.tag_v2[_TIFF_WIDTH], image.tag_v2[_TIFF_HEIGHT]) if isinstance(image, TiffImageFile) else image.size
+    if not isinstance(image, TiffImageFile):
+        return image.size
+    return int(image.tag_v2[_TIFF_WIDTH]), int(image.tag_v2[_TIFF_HEIGHT])  # the tags may be of any type
+
+
+def _bits(image: Image.Image) -> int:
+    if isinstance(image, TiffImageFile):
+        return min(image.tag_v2.get(_TIFF_BITS, (1,)))
+    if isinstance(image, PngImageFile) and image.tile:
+        return {"1": 1, "L;2": 2, "L;4": 4}.get(str(image.tile[0][3]), 8)
+    return 8
 
 
 def _no_data(image: Image.Image) -> float | None:
@@ -281,20 +304,28 @@ def _stored_numbers(path: Path, counts: NDArray[Any]) -> NDArray[Any]:
         if not isinstance(image, TiffImageFile):
             return counts
         bits, photometric = image.tag_v2.get(_TIFF_BITS), image.tag_v2.get(_TIFF_PHOTOMETRIC)
-        unsigned = image.tag_v2.get(_TIFF_SAMPLE_FORMAT, (_UNSIGNED,)) == (_UNSIGNED,)
+        sample_format = image.tag_v2.get(_TIFF_SAMPLE_FORMAT, (_UNSIGNED,))
+        unsigned, signed = sample_format == (_UNSIGNED,), sample_format == (_SIGNED,)
     if image.mode == "L" and bits == (8,) and photometric == _MIN_IS_WHITE:
         return 255 - counts  # Pillow inverts these, and no deeper ones
+    if image.mode == "L" and signed:
+        return counts.view(np.int8)
     if image.mode == "I" and unsigned:
         return counts.view(np.uint32)  # Pillow has no unsigned 32-bit pixels: large ones come out negative
     return counts
 
 
 def check_counts_mode(header: ImageHeader) -> None:
-    """Refuse a thermal image in colour.
+    """Refuse a thermal image in colour, or in black and white.
 
     Raises:
-        RtgsError: the pixel format isn't one number a pixel.
+        RtgsError: the pixel format isn't one number a pixel, or the numbers have fewer than eight bits.
     """
+    if header.bits < 8:  # Pillow would stretch them to eight, and counts mean something
+        raise RtgsError(
+            f"{header.path}: has {header.bits} bits a pixel, so it shows no more than {2**header.bits} temperatures. Export the "
+            "radiometric data as single-channel 16-bit TIFF or PNG."
+        )
     if header.mode not in _COUNT_MODES:
         raise RtgsError(
             f"{header.path}: is a colour image ({header.mode}), a picture of temperatures that cannot be turned back into them. "
@@ -321,5 +352,17 @@ def _decode(path: Path, *, upright: bool = True, reduction: int = 1) -> Image.Im
 def _unreadable(path: Path, error: Exception) -> RtgsError:
     # Pillow's own message often repeats the path; it is cut to one line that names the cause.
     unknown = isinstance(error, SyntaxError) or "cannot identify" in str(error)
-    cause = "not an image that can be identified" if unknown else str(error)
+    cause = _unidentified(path) if unknown else (str(error) or type(error).__name__)[:200]
     return RtgsError(f"{path}: cannot be read ({cause}). Copy or export the file again, or remove this pair.")
+
+
+def _unidentified(path: Path) -> str:
+    """Why Pillow does not know what a file is: it may be a TIFF of numbers that it has no pixels for."""
+    with suppress(Exception), path.open("rb") as file:
+        tags = ImageFileDirectory_v2(file.read(8))
+        file.seek(tags.next)
+        tags.load(file)
+        bits, form = tags[_TIFF_BITS][0], tags.get(_TIFF_SAMPLE_FORMAT, (_UNSIGNED,))[0]
+        kind = {_UNSIGNED: "unsigned whole", _SIGNED: "whole", _FLOAT: "floating-point"}[form]
+        return f"a TIFF of {kind} numbers of {bits} bits; 16-bit whole and 32-bit floating-point numbers are read"
+    return "not an image that can be identified"

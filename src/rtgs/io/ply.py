@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
@@ -32,6 +32,7 @@ THERMAL_PROPERTIES = ("temperature", "temperature_std", "views")
 _THERMAL = "rtgs thermal"
 _RANGE = "rtgs celsius_range"
 _BACKGROUND = "rtgs background"
+_LONGEST_HEADER = 1 << 16  # bytes
 _DEGREE_OF_REST = {0: 0, 9: 1, 24: 2, 45: 3}
 
 
@@ -138,7 +139,7 @@ def read_background(path: Path) -> tuple[float, float, float] | None:
             except ValueError:
                 red = green = blue = math.nan
             if not all(0.0 <= v <= 1.0 for v in (red, green, blue)):
-                raise RtgsError(f"{path}: unreadable comment '{comment}' (expected three numbers from 0 to 1)")
+                raise RtgsError(f"{path}: unreadable comment '{comment:.100}' (expected three numbers from 0 to 1)")
             return red, green, blue
     return None
 
@@ -157,18 +158,23 @@ def read_thermal_ply(path: Path) -> ThermalPly:
             try:
                 lo, hi = (float(v) for v in comment[len(_RANGE) :].split())
             except ValueError:
-                raise RtgsError(f"{path}: unreadable comment '{comment}' (expected two temperatures)") from None
+                lo = hi = math.nan
+            if not -math.inf < lo < hi < math.inf:
+                raise RtgsError(f"{path}: unreadable comment '{comment:.100}' (expected two temperatures, the lower one first)")
             return ThermalPly(gaussians, (lo, hi), properties)
     return ThermalPly(gaussians, None, properties)
 
 
 def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float32]]]:
     try:
+        _check_length(path)
         ply = PlyData.read(str(path))
+    except RtgsError:
+        raise
     except OSError as error:
         raise RtgsError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (PlyParseError, ValueError) as error:  # ValueError: a header that is not text
-        raise RtgsError(f"{path}: not a whole PLY file ({error})") from error
+    except Exception as error:  # plyfile has an error of its own, and raises others where a header says odd things
+        raise RtgsError(f"{path}: not a whole PLY file ({error!s:.200})") from error
     if "vertex" not in ply:
         raise RtgsError(f"{path}: a PLY without 'vertex' elements; not a Gaussian model")
     data = ply["vertex"].data
@@ -207,6 +213,21 @@ def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float3
     )
     properties = {p: _field(path, data, names, p) for p in THERMAL_PROPERTIES if p in names and _THERMAL in ply.comments}
     return gaussians, list(ply.comments), properties
+
+
+def _check_length(path: Path) -> None:
+    """Refuse a header that announces more numbers than the file has bytes, before memory is taken for them."""
+    with path.open("rb") as file:
+        header = file.read(_LONGEST_HEADER).partition(b"end_header")[0].decode("ascii", "replace")
+    size, counts = path.stat().st_size, list[list[int]]()
+    for words in map(str.split, header.splitlines()):
+        if words[:1] == ["element"] and len(words) == 3 and words[2].isdecimal():
+            counts.append([int(words[2][:30]), 0])
+        elif words[:1] == ["property"] and counts:
+            counts[-1][1] += 1
+    announced = sum(elements * max(1, properties) for elements, properties in counts)
+    if announced > size:
+        raise RtgsError(f"{path}: not a whole PLY file (its header announces {announced:,} numbers, and it has {size:,} bytes)")
 
 
 def _field(path: Path, data: NDArray[np.void], names: set[str], field: str) -> NDArray[np.float32]:

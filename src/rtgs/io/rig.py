@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import write_json
+from rtgs.base.json_records import read_json, write_json
 from rtgs.maths.geometry import SE3, is_rotation, nearest_rotation
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
 from rtgs.records.radiometry import (
@@ -36,6 +35,8 @@ _ATMOSPHERE = tuple(field.name for field in fields(Atmosphere))
 _OBJECT = tuple(field.name for field in fields(ObjectParameters))
 _STD = ("baseline_length", "baseline_direction", "rotation_deg", "thermal_focal")
 _LONG_BASELINE_M = 2.0
+_POWER_OF_TERM = {"k1": 2, "k2": 4, "k3": 6, "k4": 8, "p1": 1, "p2": 1}
+_MOST_DISTORTION = 1000.0  # far more than the widest lenses have
 _FOCAL_OF_SIDE = (0.02, 1000.0)  # of the longer side: fields of view of 176° and of 0.06°
 
 
@@ -110,18 +111,13 @@ def _calibration_std(path: Path, data: Mapping[str, Any], warnings: list[str]) -
     return CalibrationStd(rotation_rad=math.radians(values.pop("rotation_deg")), **values)
 
 
-def read_json_object(path: Path, *, missing: str) -> dict[str, Any]:
-    """The JSON object in a file.
+def read_json_object(path: Path, *, missing: str, remedy: str = "Correct it, or write it again.") -> dict[str, Any]:
+    """The JSON object in a file; `missing` and `remedy` are those of `read_json`.
 
     Raises:
-        RtgsError: no such file (with the sentence `missing`), not JSON, or not an object.
+        RtgsError: as `read_json`, or not an object.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError as error:
-        raise RtgsError(f"{path}: no such file. {missing}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise RtgsError(f"{path}: is not valid JSON ({error}).") from error
+    data = read_json(path, missing=missing, remedy=remedy)
     if not isinstance(data, dict):
         raise RtgsError(f"{path}: holds {type(data).__name__} where a JSON object {{…}} is expected.")
     return data
@@ -138,8 +134,10 @@ def camera_from_json(
     model = data.get("model")
     if model is None:
         raise RtgsError(f"{path}: {where}.model is missing. It is one of {', '.join(DISTORTION_OF_MODEL)}.")
-    if model not in DISTORTION_OF_MODEL:
-        raise RtgsError(f"{path}: {where}.model is {model!r}, which is not known. It is one of {', '.join(DISTORTION_OF_MODEL)}.")
+    if not isinstance(model, str) or model not in DISTORTION_OF_MODEL:
+        raise RtgsError(
+            f"{path}: {where}.model is {model!r:.100}, which is not known. It is one of {', '.join(DISTORTION_OF_MODEL)}."
+        )
     terms = DISTORTION_OF_MODEL[model]
     values = {name: finite_number(path, f"{where}.{name}", data, name) for name in _SIZE_AND_PINHOLE}
     for name in terms:
@@ -201,6 +199,16 @@ def absurd_intrinsics(camera: Camera) -> str | None:
                 f"{name} is {value:g} pixels, more than the image's size outside of an image of {camera.width}×{camera.height}. Is it of "
                 "another image size?"
             )
+    x, y = max(camera.cx, camera.width - camera.cx) / camera.fl_x, max(camera.cy, camera.height - camera.cy) / camera.fl_y
+    corner = math.hypot(x, y)  # tangent of its angle to the optical axis, in which lens terms are polynomials
+    corner = math.atan(corner) if camera.model == "OPENCV_FISHEYE" else corner  # there it is the angle itself
+    for name, power in _POWER_OF_TERM.items():
+        value = getattr(camera, name)
+        if abs(value) * corner**power > _MOST_DISTORTION:
+            return (
+                f"{name} is {value:g}; with it the lens would move a corner of the image {_MOST_DISTORTION:g} times as far as it is from "
+                "the middle. Calibrate again."
+            )
     return None
 
 
@@ -214,7 +222,7 @@ def finite_number(path: Path, field: str, data: Mapping[str, Any], key: str) -> 
         raise RtgsError(f"{path}: {field} is missing.")
     value = data[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise RtgsError(f"{path}: {field} is {value!r}; a finite number is expected.")
+        raise RtgsError(f"{path}: {field} is {value!r:.100}; a finite number is expected.")
     return float(value)
 
 
@@ -282,7 +290,7 @@ def _radiometry(path: Path, thermal: Mapping[str, Any], warnings: list[str]) -> 
     if "unit" in thermal:
         if thermal["unit"] != "centikelvin":
             raise RtgsError(
-                f"{path}: thermal.unit is {thermal['unit']!r}; 'centikelvin' is the only one. Otherwise give "
+                f"{path}: thermal.unit is {thermal['unit']!r:.100}; 'centikelvin' is the only one. Otherwise give "
                 "celsius_per_count and celsius_offset (1 and 0 for images in °C)."
             )
         return CENTIKELVIN

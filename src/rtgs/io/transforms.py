@@ -64,7 +64,7 @@ def read_transforms(path: Path, image_size: tuple[int, int]) -> tuple[Camera | N
             continue
         name = frame_name(frame["file_path"])
         if name in world_from_rgb:
-            raise RtgsError(f"{path}: frames[{i}].file_path names {name!r} a second time. Keep one pose for each image.")
+            raise RtgsError(f"{path}: frames[{i}].file_path names {name!r:.100} a second time. Keep one pose for each image.")
         if "transform_matrix" not in frame:
             raise RtgsError(f"{path}: frames[{i}].transform_matrix is missing ({name}). Remove the frame if it has no pose.")
         matrix = frame["transform_matrix"]
@@ -79,8 +79,8 @@ def read_transforms(path: Path, image_size: tuple[int, int]) -> tuple[Camera | N
     for key, value in shared.items():
         if data.get(key, value) != value:
             raise RtgsError(
-                f"{path}: {key} of a frame is {value!r}, and {key} of the whole file is {data[key]!r}. One RGB camera with one set of "
-                "intrinsics is expected."
+                f"{path}: {key} of a frame is {value!r:.100}, and {key} of the whole file is {data[key]!r:.100}. One RGB camera with one "
+                "set of intrinsics is expected."
             )
     return _camera(path, {**shared, **{k: v for k, v in data.items() if k != "frames"}}, image_size), world_from_rgb
 
@@ -126,8 +126,8 @@ def _camera(path: Path, data: Mapping[str, Any], image_size: tuple[int, int]) ->
     if model == "PERSPECTIVE":  # nerfstudio's own name, with OPENCV's terms
         model = perspective
     if data.get("is_fisheye") and model != "OPENCV_FISHEYE":
-        raise RtgsError(f"{path}: is_fisheye is given, and camera_model is {model!r}. Keep the one that is right.")
-    terms = {name: given.get(name, 0.0) for name in DISTORTION_OF_MODEL.get(model, ())}  # the format leaves zeros out
+        raise RtgsError(f"{path}: is_fisheye is given, and camera_model is {model!r:.100}. Keep the one that is right.")
+    terms = {name: given.get(name, 0.0) for name in DISTORTION_OF_MODEL.get(str(model), ())}  # the format leaves zeros out
     fields = {**lens, **terms, "model": model, "width": width, "height": height, "fl_x": fl_x, "fl_y": fl_y}
     fields |= {"cx": given.get("cx", width / 2), "cy": given.get("cy", height / 2)}
     return camera_from_json(path, "camera", fields, [])

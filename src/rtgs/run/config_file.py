@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import from_json, read_run_json, write_json
+from rtgs.base.json_records import from_json, read_json, write_json
 from rtgs.config import RunConfig
 
 NAME = "config.json"
@@ -69,7 +69,7 @@ def read_config(run: Path) -> SavedRun:
     if not is_run(run):
         raise RtgsError(f"{run}: not a run folder (no config.json). Start one with `rtgs run CAPTURE --out {run}`.")
     path = run / NAME
-    data = read_run_json(path)
+    data = read_json(path, remedy="Put back a copy of it, or choose another folder for the run.")
     if not isinstance(data, dict) or not isinstance(data.get("capture"), str) or "settings" not in data:
         raise RtgsError(f"{path}: not written by rtgs (no capture or settings in it); choose another folder for the run.")
     file = from_json(ConfigFile, data, str(path))

@@ -13,7 +13,7 @@ from typing import Any
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import sha256_of
-from rtgs.base.json_records import from_json, read_run_json, write_json
+from rtgs.base.json_records import from_json, read_json, write_json
 from rtgs.io.image_files import IMAGE_SUFFIXES
 from rtgs.io.rig import read_json_object, without_radiometry
 
@@ -65,7 +65,7 @@ class Hashes:
         self._known: dict[str, _Known] = {}
         if self._path.exists():
             try:
-                data = read_run_json(self._path)
+                data = read_json(self._path)
                 self._known = {k: from_json(_Known, v, str(self._path)) for k, v in data.items()}
             except (RtgsError, AttributeError):
                 pass  # nothing is lost but time

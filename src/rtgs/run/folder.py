@@ -10,7 +10,7 @@ from typing import Any
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, WarningLine, nobody
 from rtgs.base.files import remove, write_whole
-from rtgs.base.json_records import from_json, read_record, read_run_json, write_json
+from rtgs.base.json_records import from_json, read_json, read_record, write_json
 from rtgs.base.memory import Memory
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_scene, write_scene
@@ -125,7 +125,7 @@ class RunFolder:
         path = self.path / "stages.json"
         if not path.exists():
             return {}
-        data = read_run_json(path)
+        data = read_json(path)
         if not isinstance(data, dict):
             raise RtgsError(f"{path}: holds no stages; remove it and run again.")
         try:
@@ -244,7 +244,7 @@ class RunFolder:
 
     def read_json(self, name: str) -> dict[str, Any]:
         """Raises `RtgsError` where the file is missing or no JSON."""
-        return read_run_json(self.path / name)
+        return read_json(self.path / name)
 
 
 def refuse_own_folders(folder: RunFolder, scene: Scene, out: Path) -> None:

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
+from numpy.typing import NDArray
 
-from rtgs.base.json_records import read_record, write_json
+from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import RUN_AGAIN, read_record, write_json
 from rtgs.images.pictures import save_tiff
+from rtgs.io.image_files import read_counts
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.models import GaussianTemperatures, RgbModel, SensorModel, ThermalModel
 from rtgs.records.decision import Decision
@@ -57,7 +59,10 @@ def read_rgb(run: Path) -> RgbModel:
         RtgsError: a file is missing or damaged.
     """
     file = read_record(RgbFile, run / "rgb.json")
-    return RgbModel(read_ply(run / "rgb.ply"), _tensor(file.background), file.settings, file.history, file.decisions)
+    gaussians = read_ply(run / "rgb.ply")
+    if gaussians.channels != 3:
+        raise RtgsError(f"{run / 'rgb.ply'}: is a thermal model of one channel. {RUN_AGAIN}")
+    return RgbModel(gaussians, _background(run / "rgb.json", file.background, 3), file.settings, file.history, file.decisions)
 
 
 def write_thermal(run: Path, model: ThermalModel, name: str) -> None:
@@ -94,16 +99,14 @@ def read_thermal(run: Path, name: str) -> ThermalModel:
     found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
     return ThermalModel(
         gaussians=ply.gaussians,
-        background=_tensor(file.background),
+        background=_background(run / f"{name}.json", file.background, 1),
         unit="counts" if ply.celsius_range is None else "°C",
         range=file.range,
         color_range=file.color_range,
         settings=file.settings,
         sfm_per_metre=file.sfm_per_metre,
         history=file.history,
-        sensor=SensorModel(
-            file.drift, None if file.pattern is None else np.asarray(Image.open(run / file.pattern, formats=("TIFF",)))
-        ),
+        sensor=SensorModel(file.drift, _pattern(run, name, file.pattern)),
         temperatures=GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         decisions=file.decisions,
     )
@@ -121,5 +124,20 @@ def write_thermal_ply(path: Path, model: ThermalModel, *, factor: float = 1.0) -
     )
 
 
-def _tensor(values: Sequence[float]) -> torch.Tensor:
+def _background(path: Path, values: Sequence[float], channels: int) -> torch.Tensor:
+    if len(values) != channels:
+        raise RtgsError(f"{path}: background has {len(values)} numbers of {channels}. {RUN_AGAIN}")
     return torch.tensor(values, dtype=torch.float32)
+
+
+def _pattern(run: Path, name: str, pattern: str | None) -> NDArray[np.float32] | None:
+    if pattern is None:
+        return None
+    if pattern != f"{name}_pattern.tiff":
+        raise RtgsError(f"{run / name}.json: pattern is {pattern!r:.100}, and {name}_pattern.tiff is the one. {RUN_AGAIN}")
+    try:
+        return read_counts(run / pattern).astype(np.float32)
+    except RtgsError as error:
+        raise RtgsError(
+            f"{run / pattern}: the pattern of the sensor cannot be read. Remove it and {name}.json, and run again."
+        ) from error

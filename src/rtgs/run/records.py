@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import from_json, read_run_json
+from rtgs.base.json_records import from_json, read_json
 from rtgs.records.radiometry import Unit
 from rtgs.records.scene import Scene
 
@@ -58,7 +58,7 @@ class CaptureSummary:
         Raises:
             RtgsError: the file is missing or damaged, or of another version.
         """
-        data = read_run_json(path)
+        data = read_json(path)
         if isinstance(data, dict) and "thermal_unit" in data:
             earlier = data.pop("thermal_unit")
             data["unit"] = _EARLIER_UNITS.get(earlier, earlier)

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from rtgs.base.errors import RtgsError
 from rtgs.base.files import remove
-from rtgs.base.json_records import read_run_json, write_json
+from rtgs.base.json_records import read_json, write_json
 
 MAKING = ".next.tmp"  # new results that are being made
 WHOLE = ".whole.tmp"  # new results that are whole; some of them may have been moved already
@@ -49,7 +50,7 @@ def complete_replacement(run: Path) -> None:
     if not (new / _GONE).exists():
         remove(new)
         return
-    for name in read_run_json(new / _GONE):
+    for name in _names_in(new / _GONE):
         remove(run / name)
     for path in sorted(new.iterdir(), key=lambda path: path.name == _LAST):
         if path.name == _GONE:
@@ -58,3 +59,12 @@ def complete_replacement(run: Path) -> None:
             remove(run / path.name)
         path.replace(run / path.name)
     remove(new)
+
+
+def _names_in(path: Path) -> list[str]:
+    """The list of names in a file. What is named is removed, so nothing outside of the run may be."""
+    remedy = f"Remove the folder {path.parent} and run again."
+    names = read_json(path, remedy=remedy)
+    if not isinstance(names, list) or not all(isinstance(name, str) and name == Path(name).name for name in names):
+        raise RtgsError(f"{path}: does not list names of files. {remedy}")
+    return names

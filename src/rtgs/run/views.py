@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
+from unicodedata import normalize
 
 import numpy as np
 import torch
@@ -45,10 +46,11 @@ def render_views(
             run without a thermal model; an `out` that is the run or lies in the capture.
     """
     refuse_own_folders(folder, scene, out)
+    names = [normalize("NFC", name) for name in names]  # as frames are named
     unknown = sorted(set(names) - set(scene.world_from_rgb))
     if unknown:
         some = ", ".join(list(scene.world_from_rgb)[:3])
-        raise RtgsError(f"render: frame {unknown[0]!r} is not in the run; its frames are {some}, …")
+        raise RtgsError(f"render: frame {unknown[0]!r:.100} is not in the run; its frames are {some}, …")
     changes = {k: v for k, v in (("emissivity", emissivity), ("reflected_c", reflected_c)) if v is not None}
     radiometry = scene.capture.radiometry
     planck = radiometry if isinstance(radiometry, PlanckRadiometry) else None

@@ -10,6 +10,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
@@ -192,6 +193,10 @@ class ScaleEstimate:
     renders: int = 0
     blur_px: float = 0.0
     refinement: Refinement | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.sfm_per_metre < math.inf:
+            raise RtgsError(f"sfm_per_metre is {self.sfm_per_metre:g}; it is a finite number above 0.")
 
     @property
     def metres_per_sfm(self) -> float:

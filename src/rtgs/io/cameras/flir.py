@@ -221,7 +221,7 @@ def _counts(path: Path, data: bytes) -> NDArray[np.uint16]:
     body = data[_IMAGE_HEADER_BYTES:]
     counts: NDArray[np.uint16]
     if body.startswith(b"\x89PNG"):
-        counts = _in_byte_order(path, _decode(path, "raw thermal image", body).astype(np.uint16))
+        counts = _in_byte_order(path, _decode(path, "raw thermal image", body, (width, height)).astype(np.uint16))
     elif body.startswith(b"\xff\xd8"):
         raise RtgsError(
             f"{path}: its raw thermal image is JPEG-compressed, which is not supported. Save it again with FLIR Tools or Ignite."
@@ -309,12 +309,15 @@ def _fusion(path: Path, data: bytes, digital_zoom: object) -> Fusion | None:
     return None
 
 
-def _decode(path: Path, what: str, body: bytes) -> NDArray[Any]:
+def _decode(path: Path, what: str, body: bytes, size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """The pixels of an embedded file, of that width and height if any is announced: memory is taken for no other."""
     try:
         with Image.open(io.BytesIO(body), formats=IMAGE_FORMATS) as image:
+            if size is not None and image.size != size:
+                raise ValueError(f"it is {image.width}×{image.height} where {size[0]}×{size[1]} is announced")
             return np.asarray(image)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise RtgsError(f"{path}: its {what} is damaged ({error}). {EXPORT_AGAIN}") from error
+    except Exception as error:  # Pillow raises a dozen kinds for a damaged file
+        raise RtgsError(f"{path}: its {what} is damaged ({error!s:.200}). {EXPORT_AGAIN}") from error
 
 
 def _date_time(value: object) -> datetime | None:

@@ -25,7 +25,7 @@ from rtgs.io.cameras.common_facts import Facts, Pair, common_facts
 from rtgs.io.cameras.nominal_rig import check_sizes, disagreements, nominal_rig
 from rtgs.io.cameras.protocol import CameraFormat, VisiblePicture
 from rtgs.io.cameras.registry import camera_format
-from rtgs.io.image_files import IMAGE_FORMATS, list_images, read_header
+from rtgs.io.image_files import IMAGE_FORMATS, frame_name, list_images, read_header
 from rtgs.io.rig import read_rig, write_rig
 from rtgs.records.radiometry import ZERO_CELSIUS_K, CelsiusRadiometry, PlanckRadiometry
 
@@ -183,7 +183,7 @@ class _Reader:
     def _given(self, path: Path, name: str) -> Path | None:
         if self.pictures is None:
             return None
-        found = self.pictures.get(path.stem) or self.pictures.get(name)
+        found = self.pictures.get(frame_name(path.stem)) or self.pictures.get(frame_name(name))
         if found is None:
             raise RtgsError(
                 f"{self.rgb}: has no picture named {path.stem}, the visible one of {path}. Add it, or remove that frame."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,7 +27,9 @@ def opened(path: Path) -> Iterator[Image.Image]:
             yield image
     except FileNotFoundError as error:
         raise RtgsError(f"{path}: no such file.") from error
-    except (OSError, SyntaxError, ValueError, struct.error) as error:
+    except RtgsError:
+        raise
+    except Exception as error:  # besides its own errors, Pillow raises whatever its arithmetic with a damaged tag does
         raise RtgsError(f"{path}: cannot be read as a JPEG (empty, damaged or cut off). {EXPORT_AGAIN}") from error
 
 

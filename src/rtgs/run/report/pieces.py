@@ -17,6 +17,7 @@ from rtgs.run.report.values import evenly
 
 MOST_FRAMES = 6
 PICTURE_WIDTH_PX = 560
+_LARGEST_PX = 32_000  # none of a run is so large, and JPEG holds no more than twice that
 
 
 def section(title: str, inside: str) -> str:
@@ -55,6 +56,23 @@ def picture(run: RunRecords, folder: str, name: str, what: str) -> Path:
     return run.path / "renders" / folder / f"{name}.{what}.png"
 
 
+def read_picture(path: Path) -> Image.Image:
+    """A PNG file in RGB.
+
+    Raises:
+        RtgsError: the file is not a picture.
+    """
+    try:
+        with Image.open(path, formats=("PNG",)) as opened:
+            if max(opened.size) > _LARGEST_PX:
+                raise ValueError(f"{opened.width}×{opened.height} pixels")
+            return opened.convert("RGB")
+    except Exception as error:  # Pillow raises a dozen kinds for a damaged file
+        raise RtgsError(
+            f"{path}: not a picture that can be read ({error!s:.200}). Remove it; `rtgs eval` draws it again."
+        ) from error
+
+
 def figure(path: Path, caption: str, *, sharp: bool = False) -> str:
     """The picture inside the page; "" where there is no such file.
 
@@ -66,11 +84,7 @@ def figure(path: Path, caption: str, *, sharp: bool = False) -> str:
     """
     if not path.is_file():
         return ""
-    try:
-        with Image.open(path, formats=("PNG",)) as opened:
-            image = opened.convert("RGB")
-    except OSError as error:
-        raise RtgsError(f"{path}: not a picture that can be read ({error})") from error
+    image = read_picture(path)
     if image.width > PICTURE_WIDTH_PX:
         height = max(1, round(image.height * PICTURE_WIDTH_PX / image.width))
         image = image.resize((PICTURE_WIDTH_PX, height), Image.Resampling.LANCZOS)

@@ -6,10 +6,9 @@ import html
 
 import matplotlib
 import numpy as np
-from PIL import Image
 
 from rtgs.metrics.scores import SCORES
-from rtgs.run.report.pieces import figure, frame_names, missing, picture, section
+from rtgs.run.report.pieces import figure, frame_names, missing, picture, read_picture, section
 from rtgs.run.report.run_records import RunRecords
 
 MOST_OVERLAYS = 3
@@ -65,8 +64,8 @@ def _control(run: RunRecords, name: str) -> str:
     if not any(figures):
         return ""
     # The words fill the reference's place, which keeps each control under the picture that it is the control of.
-    with Image.open(picture(run, "thermal", name, "render"), formats=("PNG",)) as image:
-        aspect = image.width / image.height
+    image = read_picture(picture(run, "thermal", name, "render"))
+    aspect = image.width / image.height
     words = "Control: the same thermal fit with the scale ignored, s = 1."
     figures.insert(0, f'<p class="control" style="flex:{aspect:.4f} 1 0">{words}</p>')
     return f'<div class="triple">{"".join(figures)}</div>'
