@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from torchmetrics.functional.image import peak_signal_noise_ratio
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from rtgs.metrics.basic import mae, psnr, ssim_index
 
@@ -37,6 +37,13 @@ def test_ssim_laws() -> None:
     assert ssim_index(A[..., 0], B[..., 0]) == pytest.approx(ssim_index(A[..., :1], B[..., :1]))
     p, q = 0.2, 0.7  # constant images: the luminance term alone
     assert ssim_index(np.full((20, 20), p), np.full((20, 20), q)) == pytest.approx((2 * p * q + 1e-4) / (p * p + q * q + 1e-4))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_ssim_is_torchmetrics(channels: int) -> None:
+    a, b = (torch.from_numpy(image[..., :channels].astype(np.float64).transpose(2, 0, 1))[None] for image in (A, B))
+    _, values = structural_similarity_index_measure(a, b, sigma=1.5, data_range=1.0, return_full_image=True)
+    assert ssim_index(A[..., :channels], B[..., :channels]) == pytest.approx(float(values.mean()), abs=1e-12)
 
 
 @pytest.mark.parametrize("metric", [psnr, mae, ssim_index])

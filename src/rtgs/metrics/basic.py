@@ -7,12 +7,13 @@ count, and when a counted value is not finite: a NaN render must not pass for a 
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
-from torchmetrics.functional.image import structural_similarity_index_measure
 
-SSIM_RADIUS_PX = 5  # torchmetrics' Gaussian window at σ = 1.5 is 11 × 11
+SSIM_RADIUS_PX = 5  # the Gaussian window of Wang et al. is 11 × 11
+_SSIM_SIGMA_PX = 1.5
+_SSIM_C1, _SSIM_C2 = 0.01**2, 0.03**2
 
 
 def psnr(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
@@ -29,7 +30,7 @@ def mae(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | No
 
 
 def ssim_index(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool_] | None = None) -> float:
-    """Mean structural similarity (Wang et al. 2004) of images in [0, 1], by torchmetrics.
+    """Mean structural similarity (Wang et al. 2004) of images in [0, 1].
 
     Gaussian window of 11 × 11 pixels, σ = 1.5, borders reflected.
 
@@ -43,15 +44,29 @@ def ssim_index(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool
     if min(inside.shape) <= 2 * SSIM_RADIUS_PX:
         raise ValueError(f"SSIM needs at least {2 * SSIM_RADIUS_PX + 1} px a side; got {a.shape}")
     a, b = (np.where(inside[..., None], image, 0.0) for image in (a, b))  # a NaN outside the mask must not spread
-    x, y = (torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None] for image in (a, b))
-    # The mean is taken here because torchmetrics has changed over versions whether its own leaves the reflected border out.
-    _, values = structural_similarity_index_measure(x, y, sigma=1.5, data_range=1.0, return_full_image=True)
-    outside = torch.from_numpy(~inside).double()[None, None]
-    reached = torch.nn.functional.max_pool2d(outside, 2 * SSIM_RADIUS_PX + 1, stride=1, padding=SSIM_RADIUS_PX)[0, 0]
-    whole = reached < 0.5
+    side = 2 * SSIM_RADIUS_PX + 1
+    reached = cv2.dilate((~inside).astype(np.uint8), np.ones((side, side), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    whole = reached == 0
     if not whole.any():
         raise ValueError("SSIM: no 11 × 11 window fits into the mask")
-    return float(values[0, :, whole].mean())
+    return float(np.mean([_similarity(a[..., c], b[..., c])[whole] for c in range(a.shape[2])]))
+
+
+def _similarity(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The SSIM map of one channel, `[H, W]`. The window is applied along rows and columns in turn, which takes little memory."""
+    offsets = np.arange(-SSIM_RADIUS_PX, SSIM_RADIUS_PX + 1)
+    weights = np.exp(-0.5 * (offsets / _SSIM_SIGMA_PX) ** 2)
+    weights /= weights.sum()
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(cv2.sepFilter2D(values, cv2.CV_64F, weights, weights, borderType=cv2.BORDER_REFLECT_101))
+
+    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
+    mean_a, mean_b = mean(a), mean(b)
+    variances = np.maximum(mean(a * a) - mean_a**2, 0.0) + np.maximum(mean(b * b) - mean_b**2, 0.0)
+    covariance = mean(a * b) - mean_a * mean_b
+    luminance = (2 * mean_a * mean_b + _SSIM_C1) / (mean_a**2 + mean_b**2 + _SSIM_C1)
+    return np.asarray(luminance * (2 * covariance + _SSIM_C2) / (variances + _SSIM_C2))
 
 
 def checked(
