@@ -30,3 +30,11 @@ def test_a_reduced_pixel_counts_where_all_of_it_is_valid() -> None:
     assert len(centres)
     for row, column in centres:
         assert target.pixels[row - 5 : row + 6, column - 5 : column + 6].all() and min(row, column) >= 5
+
+
+def test_reduced_images_that_do_not_fit_into_memory_are_made_again() -> None:
+    scene = synthetic()
+    enough, none = TrainingImages(scene), TrainingImages(scene, most_bytes=0)
+    for frame in scene.frames * 2:
+        np.testing.assert_array_equal(enough.target(frame, 2).image, none.target(frame, 2).image)
+    assert enough.target(scene.frames[0], 2).image.data_ptr() == enough.target(scene.frames[0], 2).image.data_ptr()

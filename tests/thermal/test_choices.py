@@ -11,6 +11,7 @@ import pytest
 import torch
 from tests.helpers.thermal_scenes import SFM_PER_METRE, changed, fit_of, ring
 
+from rtgs.base.memory import Memory
 from rtgs.config import DriftKind
 from rtgs.thermal import fit_thermal, training_range
 from rtgs.thermal.candidates import first_solve
@@ -26,13 +27,26 @@ def photographs(count: int, valid: torch.Tensor) -> ThermalFrames:
 
 
 def test_how_many_rows_are_used() -> None:
-    settings, valid = LinearSettings(), torch.ones(512, 640)
+    settings, valid = LinearSettings(memory_bytes=1 << 50), torch.ones(512, 640)
     assert choose_rows(photographs(12, valid[:120, :160]), settings)[0] == 1
     every, decision = choose_rows(photographs(35, valid), settings)
     assert every == 4 and decision.choice == "1 in 4" and "11,468,800" in decision.reason
     assert choose_rows(photographs(5000, valid), settings)[0] == settings.most_rows
     valid[settings.most_rows // 2 :: settings.most_rows] = 0.0  # a mask that leaves none of these
     assert choose_rows(photographs(5000, valid), settings)[0] == 1
+
+
+def test_rows_that_do_not_fit_into_memory_are_not_used() -> None:
+    """What is kept of the photographs takes half of the memory at most, however many there are. A usual capture loses no row."""
+    valid = torch.ones(512, 640)
+    for gigabytes, count in ((2.0, 30), (2.0, 300), (4.0, 1000), (4.0, 5000)):
+        settings = LinearSettings.within(Memory.of(gigabytes))
+        every, decision = choose_rows(photographs(count, valid), settings)
+        pixels = count * valid[every // 2 :: every].numel()
+        assert settings.bytes_per_pixel * pixels <= 0.51 * settings.memory_bytes
+        assert settings.weights_bytes(pixels) >= 0.49 * settings.memory_bytes
+        assert (every > settings.most_rows) == ("memory" in decision.reason) == (count > 30)
+    assert choose_rows(photographs(35, valid), LinearSettings.within(Memory.of(4.0)))[0] == settings.most_rows
 
 
 def vignetted(settings: LinearSettings) -> Validation:

@@ -28,10 +28,12 @@ class Memory:
 
     Attributes:
         images: for undistorted photographs that are kept; the others are read again from their files.
+        reduced: for the smaller copies of photographs that the RGB model is trained with at first.
         fit: for what the thermal fit keeps: the renderer's weights, and its photographs and residuals.
     """
 
     images: int
+    reduced: int
     fit: int
 
     @staticmethod
@@ -70,7 +72,8 @@ class Memory:
     @staticmethod
     def _shared(budget: int) -> Memory:
         left = budget - _PROGRAM_BYTES
-        return Memory(left // 2, left - left // 2)
+        images, reduced = int(0.4 * left), int(0.15 * left)
+        return Memory(images, reduced, left - images - reduced)
 
     @staticmethod
     def warning(gigabytes: float | None) -> str:

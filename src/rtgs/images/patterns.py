@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-_FEWEST_FRAMES = 8  # a median over fewer holds too much of the scene
+FEWEST_FRAMES = 8  # a median over fewer holds too much of the scene
 _AGREEMENT = 0.7  # correlation of the row (column) levels of two halves of the frames: readout noise is the same in both
 _SMOOTH_PX = 3.0  # standard deviation of the filter whose output is the scene's course, and not readout noise
 
@@ -30,7 +30,7 @@ def sensor_pattern(images: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDAr
     Returns:
         0 where masked, and everywhere if there are fewer than 8 frames.
     """
-    if len(images) < _FEWEST_FRAMES or mask.sum() < 100:
+    if len(images) < FEWEST_FRAMES or mask.sum() < 100:
         return np.zeros(mask.shape, np.float32)
     middle = _median(images, axis=0).astype(np.float64)
     surface = _quadratic(middle, mask)

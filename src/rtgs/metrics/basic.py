@@ -45,7 +45,9 @@ def ssim_index(render: ArrayLike, reference: ArrayLike, *, mask: NDArray[np.bool
         raise ValueError(f"SSIM needs at least {2 * SSIM_RADIUS_PX + 1} px a side; got {a.shape}")
     a, b = (np.where(inside[..., None], image, 0.0) for image in (a, b))  # a NaN outside the mask must not spread
     side = 2 * SSIM_RADIUS_PX + 1
-    reached = cv2.dilate((~inside).astype(np.uint8), np.ones((side, side), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    reached = cv2.dilate(
+        (~inside).astype(np.uint8), np.ones((side, side), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
     whole = reached == 0
     if not whole.any():
         raise ValueError("SSIM: no 11 × 11 window fits into the mask")

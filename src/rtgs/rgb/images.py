@@ -5,20 +5,27 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from rtgs.base.memory import Memory
+from rtgs.images.cache import ImageCache
 from rtgs.losses.photometric import Target
 from rtgs.losses.ssim import whole_windows
 from rtgs.records.scene import Frame, Scene
 
 
 class TrainingImages:
-    """Targets of a scene's frames. Reduced images of one level are kept at a time: training goes through the levels once."""
+    """Targets of a scene's frames. Reduced images of one level are kept at a time: training goes through the levels once.
 
-    def __init__(self, scene: Scene) -> None:
+    Args:
+        most_bytes: memory for reduced images; None: what `Memory.of()` gives them. Those that do not fit are made again.
+    """
+
+    def __init__(self, scene: Scene, most_bytes: int | None = None) -> None:
         self._mask = scene.capture.rgb_mask
-        self._reduced: dict[str, Tensor] = {}
-        self._factor = 1  # of those
+        self._most_bytes = Memory.of().reduced if most_bytes is None else most_bytes
+        self._reduced, self._factor = ImageCache(self._most_bytes), 1  # images of this factor
         self._masks: dict[int, tuple[Tensor | None, Tensor | None]] = {}
 
     def target(self, frame: Frame, factor: int) -> Target:
@@ -29,14 +36,14 @@ class TrainingImages:
         if factor == 1:
             return torch.from_numpy(frame.rgb)
         if factor != self._factor:
-            self._reduced.clear()
-            self._factor = factor
-        if frame.name not in self._reduced:
+            self._reduced, self._factor = ImageCache(self._most_bytes), factor
+
+        def make() -> NDArray[np.float32]:
             image = frame.rgb
             height, width = image.shape[:2]
-            small = cv2.resize(image, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
-            self._reduced[frame.name] = torch.from_numpy(small)
-        return self._reduced[frame.name]
+            return np.asarray(cv2.resize(image, (width // factor, height // factor), interpolation=cv2.INTER_AREA), np.float32)
+
+        return torch.from_numpy(self._reduced.get(frame.name, make))
 
     def _pixels_and_windows(self, factor: int) -> tuple[Tensor | None, Tensor | None]:
         """Valid pixels and the centres of SSIM windows that see nothing else, `[H, W]` bool each; None where all are valid."""

@@ -13,6 +13,7 @@ import torch
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import write_whole
+from rtgs.base.memory import Memory
 from rtgs.base.progress import Progress
 from rtgs.config import RgbConfig
 from rtgs.losses.photometric import Appearance, photometric
@@ -37,6 +38,7 @@ def fit_rgb(
     checkpoint: Path | None = None,
     progress: Progress | None = None,
     snapshot: Callable[[int, RgbModel], None] | None = None,
+    memory: Memory | None = None,
 ) -> RgbModel:
     """Train 3D Gaussians on the scene's training frames (Kerbl et al. 2023).
 
@@ -46,6 +48,7 @@ def fit_rgb(
         checkpoint: where to keep the state while training; a file that is there is continued, bit for bit.
         progress: called with (step, steps, text).
         snapshot: called with (step, model) about twenty times while the model grows. The model is a copy.
+        memory: what the run may take; None: the default.
 
     Raises:
         RtgsError: no training frame, cameras all in one point, a checkpoint of another configuration, or a back end that cannot run
@@ -56,7 +59,7 @@ def fit_rgb(
         raise RtgsError("fit_rgb: the scene has no training frame (every registered frame is held out).")
     if scene.extent == 0.0:
         raise RtgsError("fit_rgb: all frames were taken from one point; depth needs cameras that stand apart.")
-    training = Training(scene, config)
+    training = Training(scene, config, memory)
     if checkpoint is not None and checkpoint.exists():
         training.restore(checkpoint)
     steps = training.steps
@@ -86,14 +89,14 @@ class Training:
         history: see `RgbModel`.
     """
 
-    def __init__(self, scene: Scene, config: RgbConfig) -> None:
+    def __init__(self, scene: Scene, config: RgbConfig, memory: Memory | None = None) -> None:
         config = config.resolved()
         assert config.steps is not None and config.sh_degree is not None
         self.scene, self.config = scene, config
         self.step, self.steps, self.sh_degree = 0, config.steps, config.sh_degree
         self.generator = torch.Generator().manual_seed(config.seed)
         self.settings = render_settings(scene.extent, config.backend, antialiased=config.antialiased)
-        self.images = TrainingImages(scene)
+        self.images = TrainingImages(scene, None if memory is None else memory.reduced)
         self.budget = budget(config.densify, scene.rig.rgb.width * scene.rig.rgb.height, len(scene.points))
         start = initial_gaussians(*starting_points(scene, config, self.budget), 0)  # bands join as they are switched on
         self.initial = len(start)

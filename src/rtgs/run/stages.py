@@ -79,7 +79,9 @@ def _make_rgb_model(job: Job) -> None:
         told = f", {likeness.psnr:.2f} dB on training photographs"
     else:
         with job.work("rgb", TITLES["rgb"]) as progress:
-            model = fit_rgb(scene, job.config.rgb, checkpoint=job.folder.checkpoint, progress=progress, snapshot=snapshot)
+            model = fit_rgb(
+                scene, job.config.rgb, checkpoint=job.folder.checkpoint, progress=progress, snapshot=snapshot, memory=job.memory
+            )
         held_out = model.history.get("held_out_psnr")
         told = f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else ""
     job.results.write_rgb(model)
@@ -110,11 +112,11 @@ def _fit_temperatures(job: Job) -> None:
     sfm_per_metre = job.folder.read_scale().sfm_per_metre
 
     def fit(at: float, progress: Progress) -> ThermalModel:
-        return fit_thermal(scene, rgb, at, config, progress=progress)
+        return fit_thermal(scene, rgb, at, config, progress=progress, memory=job.memory)
 
     with job.work("thermal", TITLES["thermal"]) as progress:
         model = fit(sfm_per_metre, progress)
-        model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress))
+        model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress, memory=job.memory))
     job.results.write_thermal(model)
     with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
         naive = fit(1.0, progress)

@@ -11,7 +11,7 @@ from torch import Tensor
 from rtgs.config import DriftKind
 from rtgs.thermal.fit import Fitted
 from rtgs.thermal.least_squares import solve
-from rtgs.thermal.robust import solve_robustly
+from rtgs.thermal.robust import RobustSolution, solve_robustly
 from rtgs.thermal.validation import EarlyStopping, Validation
 
 
@@ -48,6 +48,29 @@ def first_solve(validation: Validation) -> FirstSolve:
     return FirstSolve(*Fitted.of(fit, solution.x))
 
 
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Solutions without the validation frames, one for each ridge factor."""
+
+    validation: Validation
+    solution: RobustSolution
+
+    @property
+    def iterations(self) -> int:
+        """How many were made."""
+        return self.solution.iterations
+
+    def fitted(self, column: int) -> Fitted:
+        """One of them, with its images. Those of the others take no memory."""
+        fit, x = self.validation.fit, self.solution.x
+        fitted_frames = set(self.validation.others)
+        images = []
+        for f in range(len(fit.data)):
+            shown = self.solution.shown(f) if f in fitted_frames else fit.design.image(f, x)
+            images.append(shown[..., column].clone())
+        return Fitted(x[:, column : column + 1].clone(), images)
+
+
 def solve_candidates(
     validation: Validation,
     factors: Sequence[float],
@@ -55,23 +78,18 @@ def solve_candidates(
     start: Fitted,
     iterations: int,
     settled: Callable[[Tensor], bool] = lambda x: False,
-) -> tuple[list[Fitted], int]:
-    """Huber's loss on all but the validation frames, one column for each ridge factor; gains as they suit the images of `start`.
-
-    Returns:
-        A solution for each factor, and how many iterations were made.
-    """
+) -> Candidates:
+    """Huber's loss on all but the validation frames, one column for each ridge factor; gains as they suit the images of `start`."""
     fit, others = validation.fit, validation.others
     problem = fit.problem(factors, others, drift=fit.gauged(kind, start.images))
     shown = [start.images[f][..., None] for f in others]
     solution = solve_robustly(
         problem, start.x, huber=fit.settings.huber, iterations=iterations, shown=shown, settled=settled, each=fit.each
     )
-    known = {f: solution.shown(f) for f in others} | {f: fit.design.image(f, solution.x) for f in validation.frames}
-    return Fitted.of(fit, solution.x, known), solution.iterations
+    return Candidates(validation, solution)
 
 
 def few_iterations(validation: Validation, kind: DriftKind, start: Fitted) -> Fitted:
     """A model after a few more iterations with the default ridge, so that two kinds of drift can be compared from the same start."""
     settings = validation.fit.settings
-    return solve_candidates(validation, (settings.default_factor,), kind, start, settings.gain_iterations)[0][0]
+    return solve_candidates(validation, (settings.default_factor,), kind, start, settings.gain_iterations).fitted(0)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.memory import Memory
 from rtgs.base.progress import Progress
 from rtgs.base.threads import threads_at_most
 from rtgs.maths import sh
@@ -28,7 +29,12 @@ from rtgs.thermal.settings import CertaintySettings, LinearSettings
 
 
 def gaussian_temperatures(
-    scene: Scene, model: ThermalModel, *, settings: CertaintySettings | None = None, progress: Progress | None = None
+    scene: Scene,
+    model: ThermalModel,
+    *,
+    settings: CertaintySettings | None = None,
+    progress: Progress | None = None,
+    memory: Memory | None = None,
 ) -> GaussianTemperatures:
     """Temperature, standard error and number of views of each Gaussian, from the training views.
 
@@ -47,6 +53,7 @@ def gaussian_temperatures(
 
     Args:
         settings: None: the defaults.
+        memory: what the run may take; None: the default.
 
     Raises:
         RtgsError: no training frame.
@@ -54,11 +61,12 @@ def gaussian_temperatures(
     frames, settings = scene.train_frames, settings or CertaintySettings()
     if not frames:
         raise RtgsError("gaussian_temperatures: the scene has no training frame.")
-    camera, linear = scene.rig.thermal, LinearSettings()
+    camera, linear = scene.rig.thermal, LinearSettings.within(memory)
     threads = linear.threads_for(camera.width * camera.height)
     with threads_at_most(threads):
         data = ThermalFrames.of(scene, frames, model.sfm_per_metre, model.color_range)
-        design = Design(model.gaussians, camera, data.poses, model.gaussians.sh_degree, model.settings, threads=threads)
+        kept, degree = linear.memory_bytes, model.gaussians.sh_degree
+        design = Design(model.gaussians, camera, data.poses, degree, model.settings, threads=threads, kept_bytes=kept)
         passes = Passes(len(data) * (settings.iterations + 2), progress, "standard errors")
         generator = torch.Generator().manual_seed(0)
 
@@ -73,6 +81,28 @@ def gaussian_temperatures(
     sigma = math.sqrt(seen.squares / max(seen.pixels - samples.degrees_of_freedom, 0.1 * seen.pixels))
     std = _std_in_degrees(model.color_range, value.numpy(), sigma * variance.sqrt().numpy())
     return GaussianTemperatures(model.color_range.expand(value.numpy()), std, seen.views.numpy())
+
+
+@dataclass(eq=False)
+class Variance:
+    """The variance of numbers that come in parts (Chan et al. 1983)."""
+
+    count: int = 0
+    mean: float = 0.0
+    squares: float = 0.0
+
+    def add(self, values: Tensor) -> None:
+        """Add a part, which is not empty."""
+        count, mean = len(values), float(values.double().mean())
+        away = mean - self.mean
+        self.squares += float((values.double() - mean).square().sum()) + away**2 * self.count * count / (self.count + count)
+        self.mean += away * count / (self.count + count)
+        self.count += count
+
+    @property
+    def value(self) -> float:
+        """Without bias."""
+        return self.squares / (self.count - 1)
 
 
 @dataclass(eq=False)
@@ -118,8 +148,7 @@ def _sum_over_views(
 ) -> _Seen:
     """One pass over the training views. Σ W² is estimated from images of random signs: E (Σ ± W)² = Σ W²."""
     n, k = len(model.gaussians), design.coefficients
-    values = torch.cat([y[data.valid > 0] for y in data.images])
-    pixels, squares = len(data) * float(data.valid.sum()), 0.0
+    values, pixels, squares = Variance(), len(data) * float(data.valid.sum()), 0.0
     coverage, views, basis = torch.zeros(n + 1), torch.zeros(n), torch.zeros(n, k, 1)
     bounds, blocks = torch.zeros(n, k, k), torch.zeros(n, k, k)
     for f, name in enumerate(data.names):
@@ -132,10 +161,11 @@ def _sum_over_views(
         design.add_blocks(f, colors[:, 0].contiguous(), bounds)
         design.add_blocks(f, (colors[:, 1:] ** 2).mean(dim=1), blocks)
         image = model.render(camera, data.poses[f], photographed_in=name)
-        shown = torch.from_numpy(model.color_range.normalise(image))
-        squares += float((data.valid * (data.images[f] - shown) ** 2).sum())
+        shown, photograph = torch.from_numpy(model.color_range.normalise(image)), data.images[f]
+        values.add(photograph[data.valid > 0])
+        squares += float((data.valid * (photograph - shown) ** 2).sum())
         each()
-    noise_ratio = max(squares / pixels / max(float(values.var()), 1e-12), 1e-4)
+    noise_ratio = max(squares / pixels / max(values.value, 1e-12), 1e-4)
     return _Seen(
         pixels=pixels,
         noise_ratio=noise_ratio,

@@ -5,6 +5,7 @@ Errors in decisions are mean absolute errors of a pixel on validation frames, af
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from torch import Tensor
@@ -21,12 +22,16 @@ GAINS: DriftKind = "gain-offset"
 
 
 def choose_rows(data: ThermalFrames, settings: LinearSettings) -> tuple[int, Decision]:
-    """How many rows of the photographs one is used of, so that about `settings.pixels` are fitted."""
+    """How many rows of the photographs one is used of, so that about `settings.pixels` are fitted, and no more than fit into memory."""
     pixels = len(data) * data.valid.numel()
-    every = min(max(round(pixels / settings.pixels), 1), settings.most_rows)
+    enough = min(max(round(pixels / settings.pixels), 1), settings.most_rows)
+    fitting = math.ceil(2 * settings.bytes_per_pixel * pixels / settings.memory_bytes)
+    every = min(max(enough, fitting), len(data.valid))
     if not bool(data.valid[every // 2 :: every].any()):
         return 1, Decision("rows", "all", f"No row of every {every}th has a valid pixel.")
     reason = f"The photographs have {pixels:,} pixels in all; about {settings.pixels:,} are enough."
+    if fitting > enough:
+        reason = f"The photographs have {pixels:,} pixels in all; more than one row in {every} would take more memory than the run has."
     return every, Decision("rows", "all" if every == 1 else f"1 in {every}", reason)
 
 
@@ -115,13 +120,13 @@ def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tupl
         return settings.default_factor, start, Decision("ridge", f"{settings.default_factor:g}", _too_few(validation, 1))
     factors = settings.ridge_factors
     stopping = EarlyStopping(validation, [kind] * len(factors), settings.stop_share_ridge)
-    fitted, iterations = solve_candidates(validation, factors, kind, start, settings.iterations, stopping)
+    candidates = solve_candidates(validation, factors, kind, start, settings.iterations, stopping)
     best = int(stopping.errors.argmin())
     listed = ", ".join(f"{f:g}" for f in factors)
-    reason = f"Of the factors {listed}, this one has the smallest error on validation frames, after {iterations} iterations."
+    reason = f"Of the factors {listed}, this one has the smallest error on validation frames, after {candidates.iterations} iterations."
     usual = factors.index(settings.default_factor) if settings.default_factor in factors else best
     errors = [stopping.errors[usual], stopping.errors[best]]
-    return factors[best], fitted[best].copied(), _decision("ridge", f"{factors[best]:g}", reason, validation, errors, None)
+    return factors[best], candidates.fitted(best), _decision("ridge", f"{factors[best]:g}", reason, validation, errors, None)
 
 
 def _decision(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -143,15 +143,7 @@ class Fitted:
     images: Sequence[Tensor]
 
     @staticmethod
-    def of(fit: Fit, x: Tensor, known: Mapping[int, Tensor] | None = None) -> list[Fitted]:
-        """One for each column of x `[D, C]`.
-
-        Args:
-            known: `[h, w, C]` by frame, where the images need not be rendered again.
-        """
-        images = fit.images(x) if known is None else [known[f] for f in range(len(fit.data))]
+    def of(fit: Fit, x: Tensor) -> list[Fitted]:
+        """One for each column of x `[D, C]`."""
+        images = fit.images(x)
         return [Fitted(x[:, c : c + 1].clone(), [i[..., c] for i in images]) for c in range(x.shape[1])]
-
-    def copied(self) -> Fitted:
-        """With images of its own, so that the other columns' memory can be freed."""
-        return Fitted(self.x, [i.clone() for i in self.images])

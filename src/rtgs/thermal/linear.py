@@ -14,6 +14,7 @@ import numpy as np
 from rtgs.base.progress import Progress
 from rtgs.base.threads import threads_at_most
 from rtgs.config import ThermalConfig
+from rtgs.images.patterns import FEWEST_FRAMES
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.models.sensor import SensorModel
 from rtgs.records.scene import Scene
@@ -51,10 +52,11 @@ def fit_linear(
         data = photographs.rows(every)
         passes = Passes(len(data) * settings.usual_passes, progress)
         gaussians, camera, degree = rgb_model.gaussians.detach(), scene.rig.thermal, config.sh_degree
-        design = partial(Design, gaussians, camera, data.poses, degree, rgb_model.settings, threads=threads)
+        design = partial(Design, gaussians, camera, poses=data.poses, degree=degree, settings=rgb_model.settings, threads=threads)
 
         # What the Gaussians cover.
-        fit = Fit.of(design(every=every, kept_bytes=settings.kept_bytes), data, settings, passes)
+        weights_bytes = settings.weights_bytes(len(data) * data.valid.numel())
+        fit = Fit.of(design(every=every, kept_bytes=weights_bytes), data, settings, passes)
 
         # Drift, pattern, gains and ridge, each decided on validation frames.
         validation = Validation.of(fit, scene.split)
@@ -62,6 +64,7 @@ def fit_linear(
         kind, drift = choices.choose_drift(validation, first, config.drift)
         found = first.under(kind)
         has_pattern, pattern = choices.choose_pattern(validation, first)
+        del first  # its images take memory
         clean = fit.without(fit.pattern(kind, found.images, validation.others)) if has_pattern else fit
         validation = Validation(clean, validation.frames)
         kind, found, gains = choices.choose_gains(validation, kind, found, config.drift)
@@ -74,10 +77,13 @@ def fit_linear(
         sensor = SensorModel()
         if has_pattern:
             images = final.fitted.images
-            if every > 1:  # a pattern belongs to single pixels: once more, on whole photographs
-                fit = replace(fit, design=design(kept_bytes=0), data=photographs)
+            if every > 1:  # a pattern belongs to single pixels: once more, on whole photographs, as many as fit into memory
+                pixels = photographs.valid.numel()
+                most = max(settings.memory_bytes // (settings.bytes_per_pixel * pixels), FEWEST_FRAMES)
+                whole = photographs.some(most)
+                fit = replace(fit, design=design(poses=whole.poses, kept_bytes=0), data=whole)
                 images = [i[..., 0] for i in fit.images(final.fitted.x)]
-            drawn = fit.pattern(kind, images, range(len(data)))
+            drawn = fit.pattern(kind, images, range(len(fit.data)))
             sensor = SensorModel(pattern=drawn.numpy() * np.float32(span.linear.width))
 
         # The gauge, and the model.

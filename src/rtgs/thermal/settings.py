@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numba as nb
 
+from rtgs.base.memory import Memory
+
 
 @dataclass(frozen=True)
 class LinearSettings:
@@ -75,12 +77,27 @@ class LinearSettings:
     """At most one row in so many is used, so that Gaussians a few pixels large do not fall between rows."""
     usual_passes: int = 40
     """Passes over all frames that most fits need; only for the progress display."""
-    kept_bytes: int = 2 << 30
-    """Memory for the renderer's weights, in bytes. Weights of views that do not fit are computed again at each use."""
+    memory_bytes: int = 3 << 29
+    """Memory for what the fit keeps. Half of it may go to photographs and residuals, and the rest to the renderer's weights."""
+    bytes_per_pixel: int = 64
+    """What the fit keeps for each pixel that is fitted, of all photographs together: sixteen images, at most. Where half of the memory
+    holds fewer pixels, more rows are passed over than `most_rows` says."""
+    kept_bytes: int | None = None
+    """Memory for the renderer's weights, in bytes; None: what photographs and residuals leave. Weights of views that do not fit are
+    computed again at each use."""
     small_image_px: int = 1 << 16
     """Images with fewer pixels are worked on by one thread: several would spend what they gain on waiting for each other."""
     threads: int | None = None
     """Frames that are worked on at once; None: Numba's number of threads, or one for small images."""
+
+    @staticmethod
+    def within(memory: Memory | None) -> LinearSettings:
+        """The defaults within a run's memory; None: the default memory."""
+        return LinearSettings(memory_bytes=(memory or Memory.of()).fit)
+
+    def weights_bytes(self, pixels: int) -> int:
+        """Memory for the renderer's weights where so many pixels are fitted, of all photographs together."""
+        return max(self.memory_bytes - self.bytes_per_pixel * pixels, 0) if self.kept_bytes is None else self.kept_bytes
 
     def threads_for(self, pixels: int) -> int:
         """How many threads work on images of so many pixels."""
