@@ -175,7 +175,7 @@ def test_a_relative_capture_has_counts() -> None:
     scene = replace(scene, capture=replace(scene.capture, radiometry=RelativeCounts()))
     scores = evaluate(scene, rgb, replace(thermal, unit="counts"))
     assert scores.temperature_range_c is None and scores.count_range == (10.0, 40.0)
-    assert set(scores.thermal.known()) == {"psnr", "ssim", "mae_counts"}
+    assert set(scores.thermal.known()) == {"psnr", "ssim", "mae_counts", "peak_counts", "peak_p90_counts"}
     assert any("counts" in line for line in metric_lines(scores)) and not any("°C" in line for line in metric_lines(scores))
 
 

@@ -49,6 +49,18 @@ def test_a_damaged_file_is_named(tmp_path: Path, content: str) -> None:
         Evaluation.read(tmp_path / "metrics.json")
 
 
+def test_files_of_earlier_versions_have_no_peak_errors(tmp_path: Path) -> None:
+    (tmp_path / "metrics.json").write_text('{"rgb": {"psnr": 20.0}, "thermal": {"psnr": 30.0, "mae_c": 0.5, "per_frame": {}}}')
+    thermal = Evaluation.read(tmp_path / "metrics.json").thermal
+    assert thermal.mae_c == 0.5 and thermal.peak_c is None
+
+
+def test_peak_errors_are_means_over_the_frames_that_have_peaks() -> None:
+    frames = {"a": Scores(mae_c=1.0), "b": Scores(mae_c=2.0, peak_c=3.0, peak_p90_c=5.0), "c": Scores(mae_c=3.0, peak_c=5.0)}
+    mean = ModelScores.of(frames)
+    assert (mean.mae_c, mean.peak_c, mean.peak_p90_c) == (2.0, 4.0, 5.0)
+
+
 def test_a_mean_needs_the_score_of_every_frame() -> None:
     mean = ModelScores.of({"a": Scores(psnr=20.0, lpips=0.1), "b": Scores(psnr=22.0)})
     assert mean.psnr == 21.0 and mean.lpips is None and ModelScores.of({}) == ModelScores()

@@ -24,4 +24,5 @@ def test_every_row_is_scored_on_the_pixels_of_all() -> None:
     spoilt = {n: np.where(planar.thermal_valid, image, 99.0).astype(np.float32) for n, image in whole.items()}
     scored = score(scene, [Row("ours", "Ours", 1.0, spoilt), rows[1]], RealExperimentConfig(), lambda *_: None)
     assert scored.means["ours"]["mae_c"] == 0
+    assert scored.means["ours"]["peak_c"] == 0 and set(scored.names) >= {"peak_c", "peak_p90_c"}
     assert scored.share == pytest.approx(planar.thermal_valid.mean())

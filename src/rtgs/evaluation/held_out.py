@@ -12,6 +12,7 @@ from rtgs.images.filters import GRAY_WEIGHTS
 from rtgs.images.pictures import edge_overlay, error_map, palette, save_png, to_picture
 from rtgs.metrics.basic import mae, psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips
+from rtgs.metrics.peaks import peak_errors
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
@@ -30,7 +31,7 @@ def evaluate(
     renders: Path | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Score the models on the held-out frames: PSNR, SSIM, LPIPS and temperature error.
+    """Score the models on the held-out frames: PSNR, SSIM, LPIPS, temperature error, and error of peaks.
 
     Nothing is fitted to a held-out frame. Where the thermal model has drift, a render gets the drift that the frames beside it let
     expect (`ThermalModel.drift_of`). Thermal PSNR, SSIM and LPIPS are computed in the fixed range of the training images
@@ -89,8 +90,19 @@ def _thermal_scores(
 ) -> Scores:
     mask = scene.capture.thermal_mask
     likeness = _likeness(model.range.normalise(temperature), model.range.normalise(reference), mask, lpips)
-    error = mae(temperature, reference, mask=mask)
-    return Scores(**likeness, **{f"mae_{scene.capture.radiometry.suffix}": error})
+    return Scores(**likeness, **temperature_scores(temperature, reference, mask, scene.capture.radiometry.suffix))
+
+
+def temperature_scores(render: np.ndarray, photograph: np.ndarray, mask: np.ndarray, suffix: str) -> dict[str, float]:
+    """Mean error of a thermal render, and its error at the photograph's strongest small extremes, where it has any.
+
+    Args:
+        suffix: "c" or "counts": how the scores' names end.
+    """
+    found, errors = {f"mae_{suffix}": mae(render, photograph, mask=mask)}, peak_errors(render, photograph, mask=mask)
+    if len(errors):
+        found |= {f"peak_{suffix}": float(errors.mean()), f"peak_p90_{suffix}": float(np.percentile(errors, 90))}
+    return found
 
 
 def _draw_thermal(folder: Path, frame: Frame, temperature: np.ndarray, scene: Scene, model: ThermalModel) -> None:

@@ -20,6 +20,8 @@ class Scores:
         psnr: dB. ssim, lpips: without unit.
         mae_c: mean absolute temperature error in °C, of a radiometric capture.
         mae_counts: the same in counts, of a relative capture.
+        peak_c, peak_p90_c: mean and 90th percentile of the error at the photograph's strongest small extremes (`rtgs.metrics.peaks`).
+            None where the photograph has no such extreme. peak_counts, peak_p90_counts: the same in counts.
     """
 
     psnr: float | None = None
@@ -27,6 +29,10 @@ class Scores:
     lpips: float | None = None
     mae_c: float | None = None
     mae_counts: float | None = None
+    peak_c: float | None = None
+    peak_p90_c: float | None = None
+    peak_counts: float | None = None
+    peak_p90_counts: float | None = None
 
     def known(self) -> dict[str, float]:
         """Name → value of the scores that were computed, in the order of the fields."""
@@ -42,10 +48,18 @@ class ModelScores(Scores):
 
     @staticmethod
     def of(per_frame: Mapping[str, Scores]) -> ModelScores:
-        """From the frames' scores. The mean of a score is None where a frame lacks it, or where there is no frame."""
-        known = [scores.known() for scores in per_frame.values()]
-        names = [name for name in (known[0] if known else {}) if all(name in k for k in known)]
-        return ModelScores(**{name: float(np.mean([k[name] for k in known])) for name in names}, per_frame=dict(per_frame))
+        """From the frames' scores. The mean of a score is None where a frame lacks it, or where there is no frame.
+
+        A frame may have no peak. Peak errors are means over the others.
+        """
+        return ModelScores(**mean_scores([scores.known() for scores in per_frame.values()]), per_frame=dict(per_frame))
+
+
+def mean_scores(frames: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Means of the scores that every frame has, and of peak errors over the frames that have a peak."""
+    names = list(dict.fromkeys(name for known in frames for name in known))
+    names = [name for name in names if name.startswith("peak_") or all(name in known for known in frames)]
+    return {name: float(np.mean([known[name] for known in frames if name in known])) for name in names}
 
 
 @dataclass(frozen=True)

@@ -60,12 +60,13 @@ def _write_table(path: Path, rows: Sequence[Row], scored: Scored) -> Path:
 
 
 def _write_frames(path: Path, scored: Scored) -> Path:
+    names = [name for name in scored.names if not name.startswith("region")]
     lines = [
-        [key, name, *(f"{v:.6g}" for v in values.values())]
+        [key, frame, *(f"{values[n]:.6g}" if n in values else "" for n in names)]
         for key, frames in scored.frames.items()
-        for name, values in frames.items()
+        for frame, values in frames.items()
     ]
-    return write_csv(path, ["row", "frame", *(n for n in scored.names if not n.startswith("region"))], lines)
+    return write_csv(path, ["row", "frame", *names], lines)
 
 
 def _markdown(rows: Sequence[Row], scored: Scored, notes: Sequence[str]) -> str:

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
 from rtgs.config import RealExperimentConfig
+from rtgs.evaluation.held_out import temperature_scores
+from rtgs.evaluation.records import mean_scores
 from rtgs.experiments.real_rows import Row
-from rtgs.metrics.basic import mae, psnr, ssim_index
+from rtgs.metrics.basic import psnr, ssim_index
 from rtgs.metrics.lpips import SMALLEST_PX, Lpips, Network, available
 from rtgs.metrics.scores import SCORES, Score
 from rtgs.records.scene import Scene
@@ -87,9 +89,9 @@ def score(scene: Scene, rows: Sequence[Row], config: RealExperimentConfig, progr
                 "psnr": psnr(a, b, mask=mask),
                 "ssim": ssim_index(a, b, mask=mask),
                 **{key: net(a, b, mask=mask) for key, net in nets.items()},
-                f"mae_{radiometry.suffix}": mae(image, references[name], mask=mask),
+                **temperature_scores(image, references[name], mask, radiometry.suffix),
             }
-        means[row.key] = {key: float(np.mean([s[key] for s in own.values()])) for key in next(iter(own.values()))}
+        means[row.key] = mean_scores(list(own.values()))
         progress(done + 1, 2 * len(ran), row.title)
     note = ""
     if config.region is not None:

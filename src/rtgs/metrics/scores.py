@@ -41,5 +41,9 @@ SCORES: Mapping[str, Score] = {
     "lpips_vgg": Score("LPIPS (VGG)", "", 3),
     "mae_c": Score("MAE", "°C", 3),
     "mae_counts": Score("MAE", "counts", 1),
+    "peak_c": Score("peak error", "°C", 2),
+    "peak_p90_c": Score("peak error, 90 %", "°C", 2),
+    "peak_counts": Score("peak error", "counts", 1),
+    "peak_p90_counts": Score("peak error, 90 %", "counts", 1),
 }
 """Name → score, in the order of columns. The names are those of `metrics.json` and of the tables' CSV files."""
