@@ -1,7 +1,7 @@
 """How well a render keeps the strongest small extremes of its photograph: loose contacts, wet patches. A mean error hardly notices them.
 
-A peak is a pixel of the photograph that is the warmest (coldest) around, and warmer (colder) than four fifths of a ring around it. So the
-inside, the straight edges and the corners of a large warm area are no peaks.
+A peak is a pixel of the slightly smoothed photograph that is the warmest (coldest) around, and warmer (colder) than four fifths of a ring
+around it. So the inside, the straight edges and the corners of a large warm area are no peaks.
 """
 
 from __future__ import annotations
@@ -19,9 +19,12 @@ RING_PX = 7  # radius of the ring that stands for the surroundings: beyond a pea
 RING_SHARE = 0.8  # of the ring that is less extreme than a peak: at a corner of a warm area, three quarters are
 APART_PX = 10  # no two peaks are nearer to each other than this
 MOST = 10  # peaks of each sign
-NOISE_FACTOR = 5.0  # a peak stands out by so many standard deviations of the noise: of 10⁵ pixels of noise hardly one does
+NOISE_FACTOR = (
+    5.0  # a peak stands out by so many standard deviations of the noise, in a picture that is smoothed over 3 × 3 pixels
+)
 
 _MEDIAN_OF_ABSOLUTE = 0.6745  # of a normal distribution of standard deviation 1
+_SMOOTHING = np.outer([1.0, 2.0, 1.0], [1.0, 2.0, 1.0]) / 16
 _LAPLACIAN = np.array(
     [[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]
 )  # blind to planes; noise comes out six times as large
@@ -34,7 +37,8 @@ class Peaks:
     Attributes:
         rows, columns: `[K]` int, pixels.
         signs: `[K]`, 1 hot and −1 cold.
-        values, strengths: `[K]`, the photograph there, and by how much it is beyond that share of the ring, > 0.
+        values: `[K]`, the photograph's extreme there, within 1 pixel.
+        strengths: `[K]`, by how much the smoothed photograph is beyond that share of the ring, > 0.
     """
 
     rows: NDArray[np.int64]
@@ -61,15 +65,17 @@ def find_peaks(photograph: ArrayLike, *, mask: NDArray[np.bool_] | None = None) 
     distance = np.hypot(*np.mgrid[-RING_PX : RING_PX + 1, -RING_PX : RING_PX + 1])
     usable = ndimage.binary_erosion(inside, distance < RING_PX + 0.5)
     ring = np.abs(distance - RING_PX) < 0.5
+    smooth = ndimage.convolve(values, _SMOOTHING, mode="reflect")  # single bad pixels and the tails of the noise are no peaks
     threshold = NOISE_FACTOR * noise_of(values, usable)
     found = []
     for sign in (1, -1):
-        extreme = ndimage.maximum_filter(sign * values, 2 * REACH_PX + 1) == sign * values
-        contrast = sign * values - ndimage.percentile_filter(sign * values, 100 * RING_SHARE, footprint=ring)
+        extreme = ndimage.maximum_filter(sign * smooth, 2 * REACH_PX + 1) == sign * smooth
+        contrast = sign * smooth - ndimage.percentile_filter(sign * smooth, 100 * RING_SHARE, footprint=ring)
+        nearby = sign * ndimage.maximum_filter(sign * values, 3)
         rows, columns = np.nonzero(extreme & usable & (contrast > threshold))
         strengths = contrast[rows, columns]
         for k in _apart(rows, columns, strengths):
-            found.append((rows[k], columns[k], sign, values[rows[k], columns[k]], strengths[k]))
+            found.append((rows[k], columns[k], sign, nearby[rows[k], columns[k]], strengths[k]))
     table = np.array(found, dtype=np.float64).reshape(-1, 5)
     rows, columns, signs = table[:, :3].T.astype(np.int64)
     return Peaks(rows, columns, signs, values=table[:, 3], strengths=table[:, 4])

@@ -47,7 +47,9 @@ def _notes(run: RunRecords, evaluation: Evaluation, columns: list[str]) -> list[
     if {"mae_c", "mae_counts"} & set(columns):
         note += " MAE: mean absolute error of the thermal values."
     if {"peak_c", "peak_counts"} & set(columns):
-        note += " Peak error: mean difference, and its 90th percentile, at the strongest small hot and cold spots of each photograph."
+        note += (
+            " Peak error: mean difference, and its 90th percentile, at the strongest small hot and cold spots of each photograph."
+        )
     if "lpips" in columns:
         note += " LPIPS (AlexNet): how different two pictures look, 0 for equal ones."
     command = html.escape(f"rtgs eval {shlex.quote(str(run.path))}")
