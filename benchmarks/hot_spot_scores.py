@@ -117,9 +117,14 @@ def _rise(profile: NDArray[np.float64]) -> float:
     return float(np.searchsorted(rise, 0.9) - np.searchsorted(rise, 0.1))
 
 
-def false_spots(view: View, render: Image, truth: Image) -> int:
-    """Blobs where the render is far off the truth."""
-    labels, count = ndimage.label(np.abs(render - truth) >= FALSE_C, structure=np.ones((3, 3)))
+def false_spots(render: Image, truth: Image, *, within_px: int = 0) -> int:
+    """Blobs where the render is far off every temperature that the truth has within some pixels.
+
+    With 2 px, edges that are slightly misplaced do not count, and what is erased or invented does.
+    """
+    width = 2 * within_px + 1
+    beyond = np.maximum(render - ndimage.maximum_filter(truth, width), ndimage.minimum_filter(truth, width) - render)
+    labels, count = ndimage.label(beyond >= FALSE_C, structure=np.ones((3, 3)))
     return int((np.bincount(labels.ravel(), minlength=count + 1)[1:] >= FALSE_PX).sum())
 
 
