@@ -4,7 +4,7 @@
 # make lint   ruff and mypy alone
 # make fuzz   50,000 odd inputs for every reader; make fuzz FUZZ_INPUTS=2000 for fewer
 # make docs   the site in docs/_build/html; any warning is an error
-# make results PAGE=scale-units ARGS="--out DIR"   measure a page of results again (minutes to hours)
+# make results PAGE=ssim                               measure a page of results again (minutes to hours)
 # make clean-kernels   delete Numba's cache, which does not notice changes of other files than a kernel's own
 # Each sets up .venv first, in a fresh clone too. PYTHON picks the interpreter: make test PYTHON=python3.12
 

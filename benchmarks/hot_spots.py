@@ -158,7 +158,7 @@ def problem_of(out: Path, config: SynthConfig, steps: int | None) -> Problem:
         model = fit_rgb(scene, RgbConfig(steps=steps))
         folder.write_config(SavedRun(capture, RunConfig()))
         folder.write_scene(scene, SFM_PER_METRE)
-        folder.write_rgb(model)
+        folder.write_rgb(model, scene.given_from_world)
     return Problem(name, folder.load_scene(), folder.read_rgb(), draw_truth(config))
 
 

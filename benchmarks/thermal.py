@@ -157,7 +157,7 @@ def of_synthetic(args: argparse.Namespace, out: Path) -> Problem:
         model = fit_rgb(scene, RgbConfig(steps=args.rgb_steps, densify=DensifyConfig(max_gaussians=args.gaussians)))
         folder.write_config(SavedRun(out / f"{name}-capture", RunConfig()))
         folder.write_scene(scene, config.sfm_per_metre)
-        folder.write_rgb(model)
+        folder.write_rgb(model, scene.given_from_world)
     scene = folder.load_scene()
     return Problem(name, scene, folder.read_rgb(), 2.0, truth_of(scene))
 

@@ -168,7 +168,7 @@ def make(out: Path, name: SceneName, size: int, frames: int) -> Path:
         model = fit_rgb(scene, RgbConfig(steps=1500, sh_degree=1))
         folder.write_config(SavedRun(capture, RunConfig()))
         folder.write_scene(scene, None)
-        folder.write_rgb(model)
+        folder.write_rgb(model, scene.given_from_world)
     return folder.path
 
 

@@ -1,7 +1,7 @@
 """Fill a page of docs/results with what its command prints.
 
     python docs/make_results.py                              list the pages and their commands
-    python docs/make_results.py scale-units --out DIR        run the command, and replace the page's header and table
+    python docs/make_results.py demo --out DIR               run the command, and replace the page's header and table
     python docs/make_results.py scale-halves --run RUN       for pages that start from a run, or from a capture (--capture DIR)
 
 A page keeps its explanations. Between `<!-- measured -->` and `<!-- end -->` stands only what this script wrote: command, version,
@@ -57,7 +57,6 @@ PAGES = {
         Page("refinement", 'python benchmarks/refine_scale.py --out {out} --seeds 5 --rows "focal 2,direction"'),
         Page("interval-coverage", "python benchmarks/scale_coverage.py --out {out}"),
         Page("scale-halves", "python benchmarks/scale_splits.py {run}"),
-        Page("scale-units", "python benchmarks/scale_units.py --out {out}"),
         Page("scale-speed", "python benchmarks/scale_speed.py {run}"),
         Page(
             "table3-room",

@@ -18,7 +18,7 @@ def main(run: Path) -> None:
 
     temperature_c = thermal.render(camera, pose)  # [H, W], seen from the RGB camera
     view = rtgs.render(thermal.gaussians, camera, pose, settings=replace(thermal.settings, with_depth=True))
-    depth_m = (view.depth / view.alpha).numpy() * scale.metres_per_sfm  # [H, W]
+    depth_m = (view.depth / view.alpha).numpy() / scene.world_per_metre(scale.sfm_per_metre)  # [H, W]
     row, middle = camera.height // 2, camera.width // 2
     print(f"middle of the view: {temperature_c[row, middle]:.1f} °C at {depth_m[row, middle]:.2f} m")
 

@@ -249,7 +249,7 @@ def runs() -> tuple[Folder, ...]:
             RenderSettings(near_plane=0.1),
             {"step": [1.0, 2.0], "gaussians": [8.0, 8.0], "held_out_psnr": [20.0, 21.0]},
         )
-        folder.write_rgb(RgbModel(cloud(8, degree=1), torch.zeros(3), settings, history))
+        folder.write_rgb(RgbModel(cloud(8, degree=1), torch.zeros(3), settings, history), scene.given_from_world)
         span = LinearRange(10.0, 50.0)
         pattern = noise(0, THERMAL.height, THERMAL.width).astype(np.float32)
         for name in ("thermal", "thermal_naive"):
@@ -265,7 +265,7 @@ def runs() -> tuple[Folder, ...]:
                 sensor=SensorModel({NAMES[0]: (1.0, 0.1), NAMES[1]: (1.01, -0.1)}, pattern),
                 temperatures=GaussianTemperatures(*(np.ones(8, np.float32),) * 3),
             )
-            folder.write_thermal(model, name)
+            folder.write_thermal(model, scene.given_from_world, name)
         pixels = noise(0, 24, 32, 3)
         for kind in ("rgb", "thermal", "overlay"):
             (folder.renders / kind).mkdir(parents=True)

@@ -40,7 +40,6 @@ from rtgs.io.transforms import read_transforms
 from rtgs.records.radiometry import RelativeCounts
 from rtgs.run.config_file import read_config
 from rtgs.run.content import Hashes, read_content
-from rtgs.run.export import scaled_scene
 from rtgs.run.folder import RunFolder
 from rtgs.run.records import CaptureSummary
 from rtgs.run.report import write_report
@@ -175,7 +174,7 @@ def _read_run(root: Path) -> None:
     for frame in scene.frames[:1]:
         rgb.render(scene.rig.rgb, scene.rgb_from_world(frame.name))
         thermal.render(scene.rig.thermal, scene.thermal_from_world(frame.name, scale.sfm_per_metre), photographed_in=frame.name)
-    scaled_scene(scene, scale.metres_per_sfm)
+    scene.as_given()
 
 
 def _make_settings(rng: Random, root: Path) -> None:
@@ -312,6 +311,12 @@ READERS: tuple[Reader, ...] = (
         "run: capture_summary.json",
         changed(examples.runs, "run/capture_summary.json"),
         lambda root: CaptureSummary.read(root / "run" / "capture_summary.json"),
+        0.5,
+    ),
+    Reader(
+        "run: world.json",
+        changed(examples.runs, "run/scene/world.json"),
+        lambda root: RunFolder(root / "run").given_from_world,
         0.5,
     ),
     Reader("run: hashes.json", changed(examples.runs, "run/hashes.json"), _read_content, 0.5),

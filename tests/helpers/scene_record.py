@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
-from rtgs.records.capture import Capture, Frame, SparsePoints
+from rtgs.records.capture import NO_POINTS, Capture, Frame, SparsePoints
 from rtgs.records.radiometry import Radiometry, RelativeCounts
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 
-NO_POINTS = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
 Images = Mapping[str, NDArray[np.float32]]
 
 

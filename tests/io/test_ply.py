@@ -14,6 +14,7 @@ from tests.helpers.gaussian_clouds import cloud
 
 from rtgs.base.errors import RtgsError
 from rtgs.io.ply import THERMAL_PROPERTIES, read_background, read_ply, read_thermal_ply, write_ply
+from rtgs.maths.geometry import Sim3, rotation_from_axis_angle
 from rtgs.maths.sh import C0
 from rtgs.records.gaussians import Gaussians
 
@@ -249,3 +250,48 @@ def test_a_damaged_background_is_refused(tmp_path: Path, numbers: str) -> None:
     (tmp_path / "model.ply").write_bytes(data)
     with pytest.raises(RtgsError, match=r"model\.ply: unreadable comment 'rtgs background"):
         read_background(tmp_path / "model.ply")
+
+
+FRAMES = {"near": Sim3(3.0, np.eye(3), np.array([20.0, -4.0, 0.1])), "far": Sim3(3.0, np.eye(3), np.array([1e7, -6e6, 200.0]))}
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_file_holds_the_given_frame(tmp_path: Path, frame: str, channels: int) -> None:
+    original, given_from_world = model(1, channels), FRAMES[frame]
+    write_ply(tmp_path / "model.ply", original, given_from_world=given_from_world)
+    data = PlyData.read(tmp_path / "model.ply")["vertex"].data
+    expected = given_from_world.apply(original.means.double().numpy())
+    found = np.stack([data[name] for name in "xyz"], axis=1)
+    assert found.dtype == (np.float64 if frame == "far" else np.float32)  # floats are half a metre apart at 1e7
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 if frame == "near" else 2e-9)
+    np.testing.assert_allclose(data["scale_0"], original.log_scales[:, 0] + np.log(3.0), atol=1e-6)
+    assert {data.dtype[name].str for name in data.dtype.names if name not in "xyz"} == {"<f4"}
+
+    back = read_ply(tmp_path / "model.ply", given_from_world)
+    torch.testing.assert_close(back.means, original.means, rtol=0, atol=1e-6)
+    torch.testing.assert_close(back.log_scales, original.log_scales, rtol=0, atol=1e-6)
+    for name in ("quats", "opacity_logits", "sh"):
+        assert torch.equal(back.tensors()[name], original.tensors()[name])
+
+
+def test_doubles_of_another_program_are_read_in_full(tmp_path: Path) -> None:
+    original = model(0, 3)
+    write_ply(tmp_path / "model.ply", original)
+    data = PlyData.read(tmp_path / "model.ply")["vertex"].data
+    wide = np.empty(len(data), [(n, "<f8" if n in "xyz" else "<f4") for n in data.dtype.names])
+    for n in data.dtype.names:
+        wide[n] = data[n]
+    wide["x"] += 4.5e6
+    PlyData([PlyElement.describe(wide, "vertex")]).write(tmp_path / "utm.ply")
+    back = read_ply(tmp_path / "utm.ply", Sim3(2.0, np.eye(3), np.array([4.5e6, 0.0, 0.0])))
+    torch.testing.assert_close(back.means, original.means / 2, rtol=0, atol=1e-7)
+
+
+def test_a_frame_that_turns_is_refused(tmp_path: Path) -> None:
+    turned = Sim3(1.0, rotation_from_axis_angle([0.1, 0.0, 0.0]), np.zeros(3))
+    with pytest.raises(ValueError, match="turns"):
+        write_ply(tmp_path / "model.ply", model(0, 3), given_from_world=turned)
+    with pytest.raises(ValueError, match="turns"):
+        write_ply(tmp_path / "model.ply", model(0, 3))
+        read_ply(tmp_path / "model.ply", turned)

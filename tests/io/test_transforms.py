@@ -89,6 +89,27 @@ WRONG_TRANSFORMS: list[tuple[Callable[[dict[str, Any]], Any], list[str]]] = [
 ]
 
 
+@pytest.mark.parametrize(
+    ("origin", "single", "verdict"),
+    [(1e7, False, ""), (3e3, True, ""), (1e5, True, "warned"), (1e7, True, "refused"), (1e15, False, "refused")],
+)
+def test_positions_that_lost_digits_far_from_the_origin(root: Path, origin: float, single: bool, verdict: str) -> None:
+    """The cameras are a quarter of a unit apart. In double precision 1e7 costs nothing yet; in single precision, all of it."""
+    write_poses(root)
+
+    def move(data: dict[str, Any]) -> None:
+        for frame in data["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] = float(np.float32(row[3] + origin) if single else row[3] + origin)
+
+    edit_transforms(root, move)
+    if verdict == "refused":
+        refused(root, "transforms.json: its camera positions", "Subtract a common offset", "remove the poses")
+        return
+    said = [w for w in load_capture(root).warnings if "camera positions have lost digits" in w]
+    assert len(said) == (verdict == "warned")
+
+
 def test_is_fisheye_names_the_lens(root: Path) -> None:
     """As instant-ngp has it: four terms of an equidistant lens, and no camera_model."""
     write_poses(root)

@@ -20,6 +20,11 @@ SEEDS = range(5)
 ANGLES_RAD = (0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-6, np.pi)
 
 
+def random_sim3(rng: np.random.Generator) -> Sim3:
+    pose = random_se3(rng)
+    return Sim3(float(rng.uniform(0.1, 10.0)), pose.rotation, pose.translation)
+
+
 def random_se3(rng: np.random.Generator, angle_rad: float | None = None) -> SE3:
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
@@ -134,3 +139,24 @@ def test_sim3_scales_distances() -> None:
     a_from_b = Sim3(2.0, rotation_from_axis_angle([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]))
     p, q = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 4.0]])
     np.testing.assert_allclose(np.linalg.norm(a_from_b.apply(q) - a_from_b.apply(p)), 10.0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_similarity_carries_poses_as_it_carries_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a_from_b, b_from_camera, points = random_sim3(rng), random_se3(rng), rng.normal(size=(5, 3))
+    a_from_camera = a_from_b.carry(b_from_camera)
+    # A point in the camera's frame is in the unit of the world that the camera stands in.
+    np.testing.assert_allclose(
+        a_from_camera.apply(a_from_b.factor * points), a_from_b.apply(b_from_camera.apply(points)), atol=1e-12
+    )
+    np.testing.assert_allclose(a_from_b.carry_inverse(a_from_camera).matrix(), b_from_camera.matrix(), atol=1e-12)
+    np.testing.assert_allclose(a_from_b.apply_inverse(a_from_b.apply(points)), points, atol=1e-12)
+    np.testing.assert_allclose(a_from_b.apply_inverse(points), a_from_b.inverse().apply(points), atol=1e-12)
+    np.testing.assert_allclose(a_from_b.in_unit(3.0).apply(points), 3.0 * a_from_b.apply(points), atol=1e-12)
+
+
+def test_the_way_back_from_a_large_translation_is_exact() -> None:
+    points = np.array([[10000000.25, -6000000.5, 3.0]])
+    a_from_b = Sim3(0.75, np.eye(3), np.array([10000000.0, -6000000.0, 0.0]))
+    np.testing.assert_array_equal(a_from_b.apply_inverse(points), np.array([[0.25, -0.5, 3.0]]) / 0.75)

@@ -22,7 +22,7 @@ def test_the_position_rate_falls_a_hundredfold_and_goes_with_the_extent() -> Non
         rate = training.optimizer.rates["means"]
         assert isinstance(rate, float)
         rates.append(rate)
-    np.testing.assert_allclose(rates, MOST_PACE * 1.6e-4 * scene.extent * 0.01 ** (np.arange(10) / 10))
+    np.testing.assert_allclose(rates, MOST_PACE * 1.6e-4 * scene.steady().extent * 0.01 ** (np.arange(10) / 10))
 
 
 def test_all_rates_settle_at_the_end() -> None:

@@ -33,7 +33,7 @@ def test_training_improves_views_that_it_never_saw() -> None:
     assert model.history["step"][-1] == QUICK.steps
     # It starts at the border's median, which is the background already, and at 2e-3 a step it may wander a little.
     np.testing.assert_allclose(model.background, [0.3, 0.35, 0.4], atol=0.05)
-    assert model.settings.near_plane == NEAR_FRACTION * scene.extent
+    assert model.settings.near_plane == NEAR_FRACTION * scene.steady().extent
     assert all(torch.isfinite(t).all() and not t.requires_grad for t in tensors(model).values())
 
 

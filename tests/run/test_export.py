@@ -28,7 +28,6 @@ from rtgs.records.radiometry import LinearRange
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.run.config_file import SavedRun
-from rtgs.run.export import scaled_scene
 from rtgs.run.folder import RunFolder
 from rtgs.scale import History, ScaleEstimate, Scan
 from rtgs.synthetic import SynthConfig, write_capture
@@ -88,7 +87,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     settings = RenderSettings(near_plane=0.1)
     gaussians = wall(scene)
     level = float(RANGE.normalise(np.array(WALL_C)))
-    folder.write_rgb(RgbModel(gaussians, torch.zeros(3), settings))
+    folder.write_rgb(RgbModel(gaussians, torch.zeros(3), settings), scene.given_from_world)
     warm = replace(gaussians, sh=torch.full((len(gaussians), 1, 1), (level - 0.5) / C0))
     known = GaussianTemperatures(*(np.linspace(a, a + 1, len(warm)).astype(np.float32) for a in (WALL_C, 0.1, 5.0)))
     thermal = ThermalModel(
@@ -101,7 +100,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         sfm_per_metre=SFM_PER_METRE,
         temperatures=known,
     )
-    folder.write_thermal(thermal)
+    folder.write_thermal(thermal, scene.given_from_world)
     exported = {metres: root / f"metres-{metres}" for metres in (False, True)}
     for metres, out in exported.items():
         main(["export", str(folder.path), "--out", str(out), *(["--metres"] if metres else [])])
@@ -210,11 +209,3 @@ def test_a_scale_that_was_not_observed_is_said(run: Run, tmp_path: Path, capsys:
         assert "warning" not in capsys.readouterr().out
     finally:
         run.folder.write_scale(estimate)
-
-
-def test_scaling_there_and_back(run: Run) -> None:
-    back = scaled_scene(scaled_scene(run.scene, 0.4), 2.5)
-    for name, pose in run.scene.world_from_rgb.items():
-        np.testing.assert_allclose(back.world_from_rgb[name].matrix(), pose.matrix(), atol=1e-12)
-    np.testing.assert_allclose(back.points.xyz, run.scene.points.xyz)
-    assert run.folder.read_scale().metres_per_sfm == pytest.approx(1 / SFM_PER_METRE)

@@ -43,7 +43,7 @@ def test_render_writes_aligned_views(run: Path, tmp_path: Path, viewpoint: str) 
         assert view.depth is not None
         seen = (view.alpha > 0.5).numpy()
         assert seen.any()
-        expected = (view.depth / view.alpha).numpy()[seen] / scale.sfm_per_metre
+        expected = (view.depth / view.alpha).numpy()[seen] / scene.world_per_metre(scale.sfm_per_metre)
         np.testing.assert_allclose(read["depth.tiff"][seen], expected, rtol=1e-5)
         assert np.isnan(read["depth.tiff"][~seen]).all()
 

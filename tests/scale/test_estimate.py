@@ -15,6 +15,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import from_json, to_json
 from rtgs.config import ScaleConfig
 from rtgs.config.scale import SolverName
+from rtgs.maths.geometry import Sim3
 from rtgs.scale import ScaleEstimate, estimate_scale
 from rtgs.scale.solvers import SOLVERS
 
@@ -41,6 +42,28 @@ def test_the_same_call_gives_the_same_estimate_and_held_out_images_do_not_matter
     )
     assert first == again == without
     assert first != other  # a training image does matter
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "config",
+    [replace(QUICK, init=1.3, steps=10), replace(GLOBAL, refine=("focal",))],
+    ids=lambda c: c.solver,
+)
+def test_the_scale_is_in_the_unit_of_the_given_poses(config: ScaleConfig) -> None:
+    """The same world, said to be in a unit 50 times smaller: every scale is 50 times as large, and nothing else changes."""
+    scene, model = synthetic()
+    small = replace(scene, given_from_world=Sim3(50.0, np.eye(3), np.array([1e7, 0.0, -3e6])))
+    first = estimate_scale(scene, model, config)
+    second = estimate_scale(small, model, replace(config, init=None if config.init is None else 50 * config.init))
+    assert second.sfm_per_metre == pytest.approx(50 * first.sfm_per_metre, rel=1e-5)
+    assert first.ci95 is not None and second.ci95 == pytest.approx([50 * s for s in first.ci95], rel=1e-4)
+    assert second.bracket == pytest.approx([50 * s for s in first.bracket])
+    assert second.std_log == pytest.approx(first.std_log, rel=1e-3) and second.status == first.status
+    assert second.history.sfm_per_metre == pytest.approx([50 * s for s in first.history.sfm_per_metre], rel=1e-5)
+    assert second.history.slope == pytest.approx(first.history.slope, rel=1e-3, abs=1e-6)
+    if first.refinement is not None and second.refinement is not None:
+        assert second.refinement.fl_x == pytest.approx(first.refinement.fl_x, rel=1e-5)
 
 
 def test_json_round_trip() -> None:

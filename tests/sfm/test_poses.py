@@ -131,6 +131,8 @@ def test_points_from_given_poses(own_room: Path, tmp_path: Path) -> None:
     posed = {name: POSES[name] for name in NAMES[:-1]}
     write_transforms(own_room / "transforms.json", RGB, posed, {name: f"rgb/{name}.png" for name in posed})
     scene = run_sfm(load_capture(own_room), CONFIG, work_dir=tmp_path / "work")
+    assert np.linalg.norm(np.median([p.translation for p in scene.world_from_rgb.values()], axis=0)) < 1e-12
+    scene = scene.as_given()
     for name in posed:
         np.testing.assert_allclose(scene.world_from_rgb[name].matrix(), POSES[name].matrix(), atol=1e-12)
     assert scene.failures == {NAMES[-1]: "no pose came with the capture"}
@@ -141,6 +143,19 @@ def test_points_from_given_poses(own_room: Path, tmp_path: Path) -> None:
     assert np.median(to_surface) < 0.01
     assert np.percentile(to_surface, 95) < 0.05
     assert xyz.min() > -0.1
+
+
+def test_the_same_points_from_poses_far_from_the_origin(own_room: Path, tmp_path: Path) -> None:
+    """In the given frame COLMAP finds other points, or none: it computes with the positions' last digits."""
+    found = []
+    for origin in (0.0, 1e7):
+        moved = {n: SE3(POSES[n].rotation, POSES[n].translation + origin * np.array([1.0, -0.6, 0.02])) for n in NAMES}
+        write_transforms(own_room / "transforms.json", RGB, moved, {n: f"rgb/{n}.png" for n in NAMES})
+        scene = run_sfm(load_capture(own_room), CONFIG, work_dir=tmp_path / f"{origin:g}")
+        np.testing.assert_allclose(scene.as_given().world_from_rgb[NAMES[0]].translation, moved[NAMES[0]].translation, atol=4e-9)
+        found.append(scene.points)
+    np.testing.assert_allclose(found[0].xyz, found[1].xyz, rtol=0, atol=1e-12)  # COLMAP's threads add up in any order
+    np.testing.assert_array_equal(found[0].rgb, found[1].rgb)
 
 
 def test_poses_with_points_are_taken_as_they_are(own_room: Path) -> None:

@@ -17,6 +17,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.config import ThermalConfig
 from rtgs.io.capture import load_capture
 from rtgs.io.rig import write_rig
+from rtgs.maths.geometry import Sim3
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.radiometry import (
     CELSIUS,
@@ -118,7 +119,7 @@ def test_the_paper_s_solver_too() -> None:
 def test_a_run_keeps_the_constants(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     model = replace(fitted(), temperatures=None)
-    folder.write_thermal(model)
+    folder.write_thermal(model, Sim3.identity())
     again = folder.read_thermal()
     assert again.color_range == model.color_range and again.range == model.range
     data = folder.read_json("thermal.json")

@@ -24,7 +24,6 @@ from rtgs.experiments.real_results import write_results
 from rtgs.experiments.real_rows import Row
 from rtgs.experiments.real_scores import Scored, score
 from rtgs.experiments.strategies import STRATEGIES, Given, Placement, Strategy
-from rtgs.io.colmap import read_scene
 from rtgs.models import RgbModel
 from rtgs.records.capture import Capture
 from rtgs.records.scene import Scene
@@ -57,7 +56,7 @@ def real_experiment(source: Path, out: Path, config: RealExperimentConfig, liste
         pipeline.run("scale")
         folder = pipeline.folder
         # The rig as calibrated: a refined one belongs to the estimate alone, not to the other strategies.
-        scene = read_scene(folder.path / "scene", pipeline.capture)
+        scene = folder.read_scene(pipeline.capture, refined=False)
         rgb, estimate = folder.read_rgb(), folder.read_scale()
     return compare(scene, rgb, estimate, out, config, listener)
 

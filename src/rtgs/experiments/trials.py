@@ -39,7 +39,7 @@ def prepare(folder: Path, config: SynthConfig, rgb: RgbConfig) -> None:
     scene = run_sfm(load_capture(folder / "capture"), SfmConfig())
     run.write_scene(scene, None)
     model = fit_rgb(scene, rgb)
-    run.write_rgb(model)
+    run.write_rgb(model, scene.given_from_world)
     scores = model.history["held_out_psnr"]
     write_json(done, SceneFacts(scores[-1], len(model.gaussians), len(scene.points)))
 

@@ -36,10 +36,12 @@ from rtgs.records.camera import Camera, Undistortion
 from rtgs.records.capture import Capture, Frame, Poses
 from rtgs.records.radiometry import Radiometry
 from rtgs.records.rig import Rig
+from rtgs.records.world import rounding, spread
 
 MIN_FRAMES = 3
 _INTRINSICS_TOLERANCE = 0.01
 _CHECK_BYTES = 16  # a pixel, while a file is checked: decoded, as counts, as values and as a copy
+_ROUNDING_PX = (0.1, 3.0)  # of camera positions: from the first on it is said, from the second on refused
 
 
 def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int | None = None) -> Capture:
@@ -253,7 +255,7 @@ def _read_poses(
     if len(known) < len(poses.world_from_rgb):
         extra = len(poses.world_from_rgb) - len(known)
         warnings.append(f"{source.relative_to(root)}: {extra} of its poses belong to no image in rgb/ and were ignored.")
-    _check_centres(source, known)
+    _check_centres(source, known, calibrated.fl_x if camera is None else camera.fl_x, warnings)
     upright = _posed_upright(source.relative_to(root), camera, headers, warnings)
     _check_sizes(root / "rig.json", "rgb", calibrated, headers, upright=upright)
     if camera is None:
@@ -289,10 +291,26 @@ def _say_orientation(headers: list[ImageHeader], said: str, warnings: list[str])
         warnings.append(f"{tagged} of the {len(headers)} images in rgb/ have an orientation tag (EXIF or TIFF): {said}")
 
 
-def _check_centres(source: Path, world_from_rgb: Mapping[str, SE3]) -> None:
+def _check_centres(source: Path, world_from_rgb: Mapping[str, SE3], focal_px: float, warnings: list[str]) -> None:
+    """Positions have to differ, and by much more than the numbers that hold them are apart."""
     centres = np.stack([pose.translation for pose in world_from_rgb.values()])
-    if np.ptp(centres, axis=0).max() <= 1e-9 * max(1.0, np.abs(centres).max()):
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart, rounded = spread(centres, np.median(centres, axis=0)), rounding(centres)
+    if not apart < 1e30:
+        raise RtgsError(f"{source}: camera positions are {apart:.3g} apart; no unit makes them so large. Export the poses again.")
+    if not apart > 1e-30:
         raise RtgsError(f"{source}: all camera positions coincide, so depth cannot be seen. The camera has to move.")
+    error_px = rounded / apart * focal_px
+    if error_px < _ROUNDING_PX[0]:
+        return
+    said = (
+        f"its camera positions have lost digits: they are typically {apart:.3g} apart, and so far from the origin "
+        f"({np.abs(centres).max():.3g}) that rounding has moved them by up to {rounded:.2g}, about {error_px:.2g} pixels in the images. "
+        "Subtract a common offset from all positions before they are rounded (or stored in float32)"
+    )
+    if error_px > _ROUNDING_PX[1]:
+        raise RtgsError(f"{source}: {said}, or remove the poses to run structure from motion.")
+    warnings.append(f"{source}: {said}.")
 
 
 def _compare(source: Path, camera: Camera, calibrated: Camera, warnings: list[str]) -> None:

@@ -81,7 +81,7 @@ def read_sparse(folder: Path) -> tuple[Camera, Poses]:
 
 
 def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
-    """Write a run's `scene/` folder: a binary COLMAP model of the undistorted cameras.
+    """Write a run's `scene/` folder: a binary COLMAP model of the undistorted cameras, in the given frame.
 
     RGB (the rig's reference) and thermal are one rig; each registered frame is a rig frame with images `rgb/NAME.png` and
     `thermal/NAME.png`. While the scale is unknown the thermal camera stands in the rig without a pose, and frames hold RGB alone.
@@ -93,6 +93,7 @@ def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
         scene: what to write.
         sfm_per_metre: SfM units per metre, for the thermal camera's place in the rig; None when unknown.
     """
+    scene = scene.as_given()
     model = pycolmap.Reconstruction()
     rgb = colmap_camera(scene.rig.rgb, RGB_CAMERA_ID)
     thermal = colmap_camera(scene.rig.thermal, THERMAL_CAMERA_ID)
@@ -145,7 +146,7 @@ def _add_frame(
 
 
 def read_scene(path: Path, capture: Capture) -> Scene:
-    """Read what `write_scene` wrote, so that a run goes on without structure from motion.
+    """Read what `write_scene` wrote, so that a run goes on without structure from motion. Its world is the given frame.
 
     Raises:
         RtgsError: unreadable, or made from another capture (a frame or the RGB intrinsics differ).

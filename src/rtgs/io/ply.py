@@ -8,6 +8,10 @@ floats beside it that viewers pass over (`temperature`, °C; `temperature_std`, 
 and comments from which reading takes it back to exactly one channel.
 
 INRIA's layout has no place for the colour behind the Gaussians. An RGB model of ours says it in a comment, and viewers pass over it.
+
+A file holds the frame that the poses were given in. `x y z` are floats, as all viewers expect, and doubles where the frame's origin is
+so far away that floats would move the Gaussians. INRIA's Python code, plyfile and CloudCompare read doubles. A viewer that does not
+could show nothing sensible of such coordinates in floats either.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,8 +30,12 @@ from torch import Tensor
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.files import write_whole
+from rtgs.maths.geometry import Sim3
 from rtgs.maths.sh import C0
 from rtgs.records.gaussians import Gaussians
+
+FAR_ORIGIN = 100.0
+"""Distance of the origin, in spreads of the cameras, from which on positions are doubles: floats would be off by 6e-6 of a spread."""
 
 THERMAL_PROPERTIES = ("temperature", "temperature_std", "views")
 _THERMAL = "rtgs thermal"
@@ -52,15 +61,18 @@ def write_ply(
     path: Path,
     gaussians: Gaussians,
     *,
+    given_from_world: Sim3 | None = None,
     celsius_range: tuple[float, float] | None = None,
     properties: Mapping[str, NDArray[np.float32]] | None = None,
     background: Sequence[float] | None = None,
 ) -> None:
-    """Write a model as binary little-endian float32; `path` appears whole or not at all.
+    """Write a model as binary little-endian floats; `path` appears whole or not at all.
 
     Args:
         path: its folder must exist.
         gaussians: three channels, or one: a thermal model.
+        given_from_world: leads from the model's world to the frame of the file (`Scene.given_from_world`); it does not turn. Positions are
+            computed in float64, and written as doubles where the file's origin is far away. None: the file holds the model's world.
         celsius_range: °C at colour 0 and at colour 1, for thermal models only. Adds the property `temperature`, °C: the colour
             without its view-dependent part, max(0, ½ + C0 · dc), mapped linearly, unless `properties` has a better one.
         properties: names in `THERMAL_PROPERTIES` and `[N]` each, for thermal models only.
@@ -79,19 +91,20 @@ def write_ply(
     properties = properties or {}
     if not (thermal or not properties) or not set(properties) <= set(THERMAL_PROPERTIES):
         raise ValueError(f"properties are {', '.join(THERMAL_PROPERTIES)}, of a thermal model; got {', '.join(properties)}")
+    given = _unturned(given_from_world)
     arrays = {name: _numpy(t) for name, t in gaussians.tensors().items()} | dict(properties)
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise RtgsError(f"{path}: not written, the model's {name} holds NaN or infinity")
     sh = np.repeat(arrays["sh"], 3, axis=2) if thermal else arrays["sh"]
     count, coefficients, _ = sh.shape
-    columns: dict[str, NDArray[np.float32]] = {}
-    columns |= _columns("xyz", arrays["means"])
+    columns: dict[str, NDArray[np.floating]] = {}
+    columns |= _columns("xyz", _positions(arrays["means"], given))
     columns |= _columns(("nx", "ny", "nz"), np.zeros((count, 3), np.float32))
     columns |= _columns("f_dc", sh[:, 0])
     columns |= _columns("f_rest", sh[:, 1:].transpose(0, 2, 1).reshape(count, 3 * (coefficients - 1)))
     columns["opacity"] = arrays["opacity_logits"]
-    columns |= _columns("scale", arrays["log_scales"])
+    columns |= _columns("scale", arrays["log_scales"] + np.float32(math.log(given.factor)))
     columns |= _columns("rot", arrays["quats"])
     comments = [_THERMAL] if thermal else []
     if background is not None:
@@ -101,7 +114,7 @@ def write_ply(
         comments.append(f"{_RANGE} {lo!r} {hi!r}")
         columns["temperature"] = (lo + (hi - lo) * np.maximum(0.0, 0.5 + C0 * sh[:, 0, 0].astype(np.float64))).astype(np.float32)
     columns |= properties
-    vertices = np.empty(count, dtype=[(name, "<f4") for name in columns])
+    vertices = np.empty(count, dtype=[(name, "<f8" if c.dtype == np.float64 else "<f4") for name, c in columns.items()])
     for name, column in columns.items():
         vertices[name] = column
     ply = PlyData([PlyElement.describe(vertices, "vertex")], text=False, byte_order="<", comments=comments)
@@ -112,10 +125,30 @@ def write_ply(
         raise RtgsError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def read_ply(path: Path) -> Gaussians:
+def _unturned(given_from_world: Sim3 | None) -> Sim3:
+    given = Sim3.identity() if given_from_world is None else given_from_world
+    if (given.rotation != np.eye(3)).any():
+        raise ValueError("given_from_world turns the model; the harmonics would have to be turned too")
+    return given
+
+
+def _positions(means: NDArray[np.float32], given_from_world: Sim3) -> NDArray[np.floating]:
+    """`[N, 3]` in the given frame: float64 where its origin is far away, else float32."""
+    if given_from_world.factor == 1.0 and not given_from_world.translation.any():
+        return means
+    positions = given_from_world.apply(means.astype(np.float64))
+    far = np.abs(given_from_world.translation).max() > FAR_ORIGIN * given_from_world.factor
+    return positions if far else positions.astype(np.float32)
+
+
+def read_ply(path: Path, given_from_world: Sim3 | None = None) -> Gaussians:
     """Read a model: ours, or anyone's in INRIA's layout.
 
     ASCII or binary, any precision and order of properties; extra ones are ignored, normals are not needed.
+
+    Args:
+        given_from_world: leads from the world that the model is wanted in to the frame of the file; it does not turn. Positions are brought
+            over in float64. None: that frame is the world.
 
     Returns:
         float32 tensors; `sh` `[N, K, 1]` where the file says that it is a thermal model of ours, else `[N, K, 3]`.
@@ -123,7 +156,7 @@ def read_ply(path: Path) -> Gaussians:
     Raises:
         RtgsError: the file is missing, no PLY, cut short, lacks a field, or a field holds NaN or infinity; it names both.
     """
-    return _read(Path(path))[0]
+    return _read(Path(path), given_from_world)[0]
 
 
 def read_background(path: Path) -> tuple[float, float, float] | None:
@@ -144,13 +177,13 @@ def read_background(path: Path) -> tuple[float, float, float] | None:
     return None
 
 
-def read_thermal_ply(path: Path) -> ThermalPly:
-    """Read a thermal model that `write_ply` wrote.
+def read_thermal_ply(path: Path, given_from_world: Sim3 | None = None) -> ThermalPly:
+    """Read a thermal model that `write_ply` wrote; `given_from_world` as for `read_ply`.
 
     Raises:
         RtgsError: as `read_ply`, or the file is not a thermal model.
     """
-    gaussians, comments, properties = _read(Path(path))
+    gaussians, comments, properties = _read(Path(path), given_from_world)
     if gaussians.channels != 1:
         raise RtgsError(f"{path}: not a thermal model (no comment '{_THERMAL}' in its header)")
     for comment in comments:
@@ -165,7 +198,7 @@ def read_thermal_ply(path: Path) -> ThermalPly:
     return ThermalPly(gaussians, None, properties)
 
 
-def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float32]]]:
+def _read(path: Path, given_from_world: Sim3 | None) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float32]]]:
     try:
         _check_length(path)
         ply = PlyData.read(str(path))
@@ -190,7 +223,8 @@ def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float3
     def stacked(*fields: str) -> NDArray[np.float32]:
         return np.stack([_field(path, data, names, f) for f in fields], axis=1)
 
-    means = stacked("x", "y", "z")
+    given = _unturned(given_from_world)
+    positions = np.stack([_field(path, data, names, f, np.float64) for f in "xyz"], axis=1)
     dc = stacked("f_dc_0", "f_dc_1", "f_dc_2")
     rest_count = sum(name.startswith("f_rest_") for name in names)
     if rest_count not in _DEGREE_OF_REST:
@@ -201,13 +235,17 @@ def _read(path: Path) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float3
         sh = np.concatenate([sh, rest.transpose(0, 2, 1)], axis=1)
     if _THERMAL in ply.comments:
         sh = sh[:, :, :1]
+    with np.errstate(over="ignore"):
+        means = given.apply_inverse(positions).astype(np.float32)
+    if not np.isfinite(means).all():
+        raise RtgsError(f"{path}: fields x, y and z hold a position that is too far away for float32")
     quats = stacked("rot_0", "rot_1", "rot_2", "rot_3")
     if (np.abs(quats).max(axis=1) == 0).any():
         raise RtgsError(f"{path}: fields rot_0 … rot_3 hold a quaternion of length zero")
     gaussians = Gaussians(
         means=torch.from_numpy(means),
         quats=torch.from_numpy(quats),
-        log_scales=torch.from_numpy(stacked("scale_0", "scale_1", "scale_2")),
+        log_scales=torch.from_numpy(stacked("scale_0", "scale_1", "scale_2") - np.float32(math.log(given.factor))),
         opacity_logits=torch.from_numpy(_field(path, data, names, "opacity")),
         sh=torch.from_numpy(np.ascontiguousarray(sh)),
     )
@@ -230,20 +268,22 @@ def _check_length(path: Path) -> None:
         raise RtgsError(f"{path}: not a whole PLY file (its header announces {announced:,} numbers, and it has {size:,} bytes)")
 
 
-def _field(path: Path, data: NDArray[np.void], names: set[str], field: str) -> NDArray[np.float32]:
+def _field(
+    path: Path, data: NDArray[np.void], names: set[str], field: str, dtype: type[np.floating] = np.float32
+) -> NDArray[Any]:
     if field not in names:
         raise RtgsError(f"{path}: field '{field}' is missing; not a 3D Gaussian model in INRIA's layout")
     if data[field].dtype == object:
         raise RtgsError(f"{path}: field '{field}' is a list, a number is needed")
     with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite and is reported as such
-        column = np.array(data[field], dtype=np.float32)  # a copy: plyfile maps the file, which may be replaced later
+        column = np.array(data[field], dtype=dtype)  # a copy: plyfile maps the file, which may be replaced later
     bad = np.count_nonzero(~np.isfinite(column))
     if bad:
         raise RtgsError(f"{path}: field '{field}' is NaN or infinite in {bad} of {len(column)} Gaussians")
     return column
 
 
-def _columns(name: str | tuple[str, ...], array: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+def _columns(name: str | tuple[str, ...], array: NDArray[np.floating]) -> dict[str, NDArray[np.floating]]:
     """Columns of `[N, n]` under `name_0 … name_(n−1)`, under the letters of "xyz", or under the names given."""
     width = array.shape[1]
     names = tuple(name) if name == "xyz" or isinstance(name, tuple) else tuple(f"{name}_{i}" for i in range(width))

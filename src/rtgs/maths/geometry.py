@@ -70,14 +70,39 @@ class SE3:
 
 @dataclass(frozen=True, eq=False)
 class Sim3:
-    """A similarity `a_from_b`: `x_a = factor · rotation @ x_b + translation`."""
+    """A similarity `a_from_b`: `x_a = factor · rotation @ x_b + translation`.
+
+    The way back subtracts the translation before anything else. So a point close to a large translation keeps all the digits that it has,
+    which `inverse().apply` would round away.
+    """
 
     factor: float
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
 
+    @staticmethod
+    def identity() -> Sim3:
+        return Sim3(1.0, np.eye(3), np.zeros(3))
+
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Map points `[..., 3]` from frame b to frame a."""
         return self.factor * points @ self.rotation.T + self.translation
+
+    def apply_inverse(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Map points `[..., 3]` from frame a to frame b."""
+        return (points - self.translation) @ self.rotation / self.factor
+
+    def carry(self, b_from_camera: SE3) -> SE3:
+        """`a_from_camera`: where a camera stands in frame a, lengths in the unit of frame a."""
+        return SE3(self.rotation @ b_from_camera.rotation, self.apply(b_from_camera.translation))
+
+    def carry_inverse(self, a_from_camera: SE3) -> SE3:
+        """`b_from_camera`: where a camera stands in frame b, lengths in the unit of frame b."""
+        return SE3(self.rotation.T @ a_from_camera.rotation, self.apply_inverse(a_from_camera.translation))
+
+    def in_unit(self, factor: float) -> Sim3:
+        """`a_from_b` with a's unit `factor` times smaller: all lengths in a are `factor` times larger."""
+        return Sim3(self.factor * factor, self.rotation, self.translation * factor)
 
     def inverse(self) -> Sim3:
         rt = self.rotation.T

@@ -80,6 +80,9 @@ class SparsePoints:
         return len(self.xyz)
 
 
+NO_POINTS = SparsePoints(np.zeros((0, 3)), np.zeros((0, 3), np.float32))
+
+
 @dataclass(frozen=True, eq=False)
 class Poses:
     """RGB poses that came with a capture: `world_from_rgb` by frame name, and the points, where the source has them."""

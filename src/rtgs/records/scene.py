@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtgs.maths.geometry import SE3, axis_angle_from_rotation, rotation_from_axis_angle
+from rtgs.maths.geometry import SE3, Array, Sim3, axis_angle_from_rotation, rotation_from_axis_angle
 from rtgs.records.capture import Capture, Frame, SparsePoints, Split
 from rtgs.records.rig import Rig
+from rtgs.records.world import POINT_STEP, POSITION_STEP, given_from_world, on_grid, power_of_two, spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +21,11 @@ class Scene:
 
     Attributes:
         capture: images, masks, rig.
-        world_from_rgb: pose by name, of the frames that were registered. The world and its unit are SfM's.
-        points: sparse points, possibly none.
+        world_from_rgb: pose by name, of the frames that were registered.
+        points: sparse points, possibly none, in the world.
         failures: name → reason, of the frames that were not.
         split: which frames are for training, validation and evaluation.
+        given_from_world: from the world to the frame that SfM or the capture's poses gave, whose unit is the SfM unit.
     """
 
     capture: Capture
@@ -31,6 +33,47 @@ class Scene:
     points: SparsePoints
     failures: Mapping[str, str]
     split: Split = field(default_factory=Split)
+    given_from_world: Sim3 = field(default_factory=Sim3.identity)
+
+    def recentred(self) -> Scene:
+        """The same scene in the world that suits its cameras (`rtgs.records.world`)."""
+        given = self.as_given()
+        return given.in_world_of(given_from_world(given.world_from_rgb.values()))
+
+    def in_world_of(self, given_from_world: Sim3) -> Scene:
+        """A scene in the given frame, as it is in another world."""
+        return replace(
+            self,
+            world_from_rgb={name: given_from_world.carry_inverse(pose) for name, pose in self.world_from_rgb.items()},
+            points=SparsePoints(given_from_world.apply_inverse(self.points.xyz), self.points.rgb),
+            given_from_world=given_from_world,
+        )
+
+    def as_given(self) -> Scene:
+        """The same scene in the given frame, in SfM units: what a user sees."""
+        given = self.given_from_world
+        return replace(
+            self,
+            world_from_rgb={name: given.carry(pose) for name, pose in self.world_from_rgb.items()},
+            points=SparsePoints(given.apply(self.points.xyz), self.points.rgb),
+            given_from_world=Sim3.identity(),
+        )
+
+    def steady(self) -> Scene:
+        """The same scene with camera positions and points rounded to a grid.
+
+        Training and triangulation are chaotic: the last digit of one position decides how each Gaussian comes to lie, and so the third
+        digit of PSNR. An origin far away costs last digits. On the grid they are equal again at (nearly) every origin.
+        """
+        centres = np.stack([pose.translation for pose in self.world_from_rgb.values()])
+        size = power_of_two(spread(centres, np.median(centres, axis=0)))
+        poses = {k: SE3(p.rotation, on_grid(p.translation, POSITION_STEP * size)) for k, p in self.world_from_rgb.items()}
+        points = SparsePoints(on_grid(self.points.xyz, POINT_STEP * size), self.points.rgb)
+        return replace(self, world_from_rgb=poses, points=points)
+
+    def world_per_metre(self, sfm_per_metre: Array) -> Array:
+        """World units per metre, from SfM units per metre: a number, or a tensor of one."""
+        return sfm_per_metre / self.given_from_world.factor
 
     @property
     def rig(self) -> Rig:
@@ -98,7 +141,8 @@ class Scene:
 
     def world_from_thermal(self, name: str, sfm_per_metre: float) -> SE3:
         """Eq. 1: `world_from_rgb ∘ (R, s·t)`, with the RGB camera where it stands when the thermal one fires."""
-        return self.world_from_rgb_at_thermal(name) @ self.rig.rgb_from_thermal.with_baseline_scaled(sfm_per_metre)
+        rgb_from_thermal = self.rig.rgb_from_thermal.with_baseline_scaled(self.world_per_metre(sfm_per_metre))
+        return self.world_from_rgb_at_thermal(name) @ rgb_from_thermal
 
     def thermal_from_world(self, name: str, sfm_per_metre: float) -> SE3:
         """The inverse of `world_from_thermal`."""

@@ -11,6 +11,7 @@ from torch import Tensor
 from rtgs.base.errors import RtgsError
 from rtgs.config import Backend, RgbConfig
 from rtgs.io.ply import read_background, read_ply
+from rtgs.maths.geometry import Sim3
 from rtgs.models import RgbModel
 from rtgs.records.decision import Decision
 from rtgs.records.scene import Scene
@@ -19,19 +20,22 @@ from rtgs.rgb.photographs import Likeness, Views
 from rtgs.rgb.settings import render_settings
 
 
-def model_from_ply(path: Path, extent: float, backend: Backend = "cpu", *, antialiased: bool = False) -> RgbModel:
+def model_from_ply(
+    path: Path, extent: float, backend: Backend = "cpu", *, antialiased: bool = False, given_from_world: Sim3 | None = None
+) -> RgbModel:
     """A model in a 3DGS PLY file, over a black background.
 
     Args:
         extent: of the scene it belongs to (`Scene.extent`), for the near plane.
         backend: renders it.
         antialiased: it was trained with opacities that make up for the pixel-size blur.
+        given_from_world: of the scene (`Scene.given_from_world`); the file is in the given frame. None: the world is the given frame.
 
     Raises:
         RtgsError: the file is unreadable or holds a one-channel thermal model, or the back end cannot run on this machine.
     """
     settings = render_settings(extent, backend, antialiased=antialiased)
-    gaussians = read_ply(path)
+    gaussians = read_ply(path, given_from_world)
     if gaussians.channels != 3:
         raise RtgsError(f"{path}: a thermal model of one channel; an RGB model is needed.")
     return RgbModel(gaussians, torch.zeros(3), settings)
@@ -46,7 +50,9 @@ def import_model(path: Path, scene: Scene, config: RgbConfig) -> tuple[RgbModel,
     Raises:
         RtgsError: as `model_from_ply`; or the model does not show what the photographs show.
     """
-    model = model_from_ply(path, scene.extent, config.backend, antialiased=config.antialiased)
+    model = model_from_ply(
+        path, scene.extent, config.backend, antialiased=config.antialiased, given_from_world=scene.given_from_world
+    )
     views = Views.of(scene, model)
     background, reason = _background(path, views, config)
     likeness = views.likeness(background)

@@ -90,7 +90,7 @@ class Training:
     """
 
     def __init__(self, scene: Scene, config: RgbConfig, memory: Memory | None = None) -> None:
-        config = config.resolved()
+        config, scene = config.resolved(), scene.steady()
         assert config.steps is not None and config.sh_degree is not None
         self.scene, self.config = scene, config
         self.step, self.steps, self.sh_degree = 0, config.steps, config.sh_degree
@@ -200,7 +200,7 @@ class Training:
     def save(self, path: Path) -> None:
         """Write the state that `restore` continues from, bit for bit."""
         state: dict[str, Any] = {
-            "config": repr(self.config),
+            "config": self._belongs_to,
             "step": self.step,
             "generator": self.generator.get_state(),
             "order": self.order,
@@ -214,6 +214,12 @@ class Training:
         with write_whole(path) as temporary:
             temporary.write_bytes(buffer.getbuffer())
 
+    @property
+    def _belongs_to(self) -> str:
+        """Settings and world, which a saved state can be continued in."""
+        given = self.scene.given_from_world
+        return repr((self.config, given.factor, given.translation.tolist()))
+
     def restore(self, path: Path) -> None:
         """Continue from a saved state.
 
@@ -224,8 +230,8 @@ class Training:
             state = torch.load(path, weights_only=True)
         except Exception as error:  # torch raises half a dozen kinds for a damaged file
             raise RtgsError(f"{path}: the checkpoint is damaged ({error}); remove it to train from the start.") from error
-        if state["config"] != repr(self.config):
-            raise RtgsError(f"{path}: belongs to other training settings; remove it to start over.")
+        if state["config"] != self._belongs_to:
+            raise RtgsError(f"{path}: belongs to other training settings or to another version; remove it to start over.")
         self.step, self.order, self.history = state["step"], state["order"], state["history"]
         self.generator.set_state(state["generator"])
         self.optimizer.restore(state["gaussians"])

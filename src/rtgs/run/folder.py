@@ -14,12 +14,13 @@ from rtgs.base.json_records import from_json, read_json, read_record, write_json
 from rtgs.base.memory import Memory
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_scene, write_scene
+from rtgs.maths.geometry import Sim3
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.capture import Capture
 from rtgs.records.scene import Scene
 from rtgs.run import model_files
 from rtgs.run.config_file import SavedRun, is_run, read_config, write_config
-from rtgs.run.records import CaptureSummary
+from rtgs.run.records import CaptureSummary, WorldFile
 from rtgs.run.stages import Stage
 from rtgs.run.swap import MAKING, replace_results
 from rtgs.scale import ScaleEstimate
@@ -182,49 +183,60 @@ class RunFolder:
 
     # Results
 
+    @property
+    def given_from_world(self) -> Sim3:
+        """`Scene.given_from_world` of the run's scene. The identity for a run of a version that had no world of its own.
+
+        Raises:
+            RtgsError: `scene/world.json` is damaged.
+        """
+        path = self.path / "scene" / "world.json"
+        return read_record(WorldFile, path).given_from_world if path.exists() else Sim3.identity()
+
     def write_scene(self, scene: Scene, sfm_per_metre: float | None) -> None:
-        """Write `scene/`, a COLMAP model."""
+        """Write `scene/`: a COLMAP model in the given frame, and `world.json`, which world the models were made in."""
         with write_whole(self.path / "scene") as temporary:
             write_scene(temporary, scene, sfm_per_metre)
+            write_json(temporary / "world.json", WorldFile.of(scene.given_from_world))
 
     def read_scene(self, capture: Capture, *, refined: bool = True) -> Scene:
-        """The scene; with the rig as refined, once the scale stage has refined it.
+        """The scene, in its world; with the rig as refined, once the scale stage has refined it.
 
         Whoever reads a run's scene so has the rig that its scale belongs to.
 
         Args:
             refined: False for the rig as calibrated in any case.
         """
-        scene = read_scene(self.path / "scene", capture)
+        scene = read_scene(self.path / "scene", capture).in_world_of(self.given_from_world)
         return self.read_scale().refined_scene(scene) if refined and (self.path / "scale.json").exists() else scene
 
     def write_summary(self, scene: Scene) -> None:
         """`capture_summary.json`, for the report."""
         self.write_json("capture_summary.json", CaptureSummary.of(scene))
 
-    def write_rgb(self, model: RgbModel) -> None:
-        """Write `rgb.ply` and `rgb.json`."""
-        model_files.write_rgb(self.path, model)
+    def write_rgb(self, model: RgbModel, given_from_world: Sim3) -> None:
+        """Write `rgb.ply` and `rgb.json`, in the given frame (`Scene.given_from_world`)."""
+        model_files.write_rgb(self.path, model, given_from_world)
 
     def read_rgb(self) -> RgbModel:
-        """The RGB model.
+        """The RGB model, in the world of the run's scene.
 
         Raises:
             RtgsError: a file is missing or damaged.
         """
-        return model_files.read_rgb(self.path)
+        return model_files.read_rgb(self.path, self.given_from_world)
 
-    def write_thermal(self, model: ThermalModel, name: str = "thermal") -> None:
-        """Write a thermal model: `thermal`, or `thermal_naive`, the control at scale 1."""
-        model_files.write_thermal(self.path, model, name)
+    def write_thermal(self, model: ThermalModel, given_from_world: Sim3, name: str = "thermal") -> None:
+        """Write a thermal model in the given frame: `thermal`, or `thermal_naive`, the control at scale 1."""
+        model_files.write_thermal(self.path, model, name, given_from_world)
 
     def read_thermal(self, name: str = "thermal") -> ThermalModel:
-        """A thermal model, or the control.
+        """A thermal model, or the control, in the world of the run's scene.
 
         Raises:
             RtgsError: a file is missing or damaged.
         """
-        return model_files.read_thermal(self.path, name)
+        return model_files.read_thermal(self.path, name, self.given_from_world)
 
     def write_scale(self, estimate: ScaleEstimate) -> None:
         """Write `scale.json`."""

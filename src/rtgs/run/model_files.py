@@ -1,9 +1,12 @@
-"""The models of a run: a PLY each, beside a JSON file with what the PLY cannot hold."""
+"""The models of a run: a PLY each, beside a JSON file with what the PLY cannot hold.
+
+The files are in the given frame. `given_from_world` leads there from the world that the models are in (`Scene.given_from_world`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from rtgs.base.json_records import RUN_AGAIN, read_record, write_json
 from rtgs.images.pictures import save_tiff
 from rtgs.io.image_files import read_counts
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
+from rtgs.maths.geometry import Sim3
 from rtgs.models import GaussianTemperatures, RgbModel, SensorModel, ThermalModel
 from rtgs.records.decision import Decision
 from rtgs.records.radiometry import LinearRange, PlanckRange
@@ -46,28 +50,29 @@ class ThermalFile:
     decisions: tuple[Decision, ...] = ()
 
 
-def write_rgb(run: Path, model: RgbModel) -> None:
+def write_rgb(run: Path, model: RgbModel, given_from_world: Sim3) -> None:
     """Write `rgb.ply` and `rgb.json`."""
-    write_ply(run / "rgb.ply", model.gaussians, background=model.background.tolist())
-    write_json(run / "rgb.json", RgbFile(model.background.tolist(), model.settings, model.history, model.decisions))
+    write_ply(run / "rgb.ply", model.gaussians, given_from_world=given_from_world, background=model.background.tolist())
+    settings = _in_unit(model.settings, given_from_world.factor)
+    write_json(run / "rgb.json", RgbFile(model.background.tolist(), settings, model.history, model.decisions))
 
 
-def read_rgb(run: Path) -> RgbModel:
+def read_rgb(run: Path, given_from_world: Sim3) -> RgbModel:
     """Read what `write_rgb` wrote.
 
     Raises:
         RtgsError: a file is missing or damaged.
     """
     file = read_record(RgbFile, run / "rgb.json")
-    gaussians = read_ply(run / "rgb.ply")
+    gaussians, settings = read_ply(run / "rgb.ply", given_from_world), _in_unit(file.settings, 1.0 / given_from_world.factor)
     if gaussians.channels != 3:
         raise RtgsError(f"{run / 'rgb.ply'}: is a thermal model of one channel. {RUN_AGAIN}")
-    return RgbModel(gaussians, _background(run / "rgb.json", file.background, 3), file.settings, file.history, file.decisions)
+    return RgbModel(gaussians, _background(run / "rgb.json", file.background, 3), settings, file.history, file.decisions)
 
 
-def write_thermal(run: Path, model: ThermalModel, name: str) -> None:
+def write_thermal(run: Path, model: ThermalModel, name: str, given_from_world: Sim3) -> None:
     """Write `NAME.ply`, `NAME.json` and, where the sensor has a pattern, `NAME_pattern.tiff`."""
-    write_thermal_ply(run / f"{name}.ply", model)
+    write_thermal_ply(run / f"{name}.ply", model, given_from_world)
     pattern = None
     if model.sensor.pattern is not None:
         pattern = f"{name}_pattern.tiff"
@@ -76,7 +81,7 @@ def write_thermal(run: Path, model: ThermalModel, name: str) -> None:
         run / f"{name}.json",
         ThermalFile(
             model.background.tolist(),
-            model.settings,
+            _in_unit(model.settings, given_from_world.factor),
             model.history,
             model.range,
             model.color_range,
@@ -88,14 +93,14 @@ def write_thermal(run: Path, model: ThermalModel, name: str) -> None:
     )
 
 
-def read_thermal(run: Path, name: str) -> ThermalModel:
+def read_thermal(run: Path, name: str, given_from_world: Sim3) -> ThermalModel:
     """Read what `write_thermal` wrote.
 
     Raises:
         RtgsError: a file is missing or damaged, or an older version wrote it.
     """
     file = read_record(ThermalFile, run / f"{name}.json")
-    ply = read_thermal_ply(run / f"{name}.ply")
+    ply = read_thermal_ply(run / f"{name}.ply", given_from_world)
     found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
     return ThermalModel(
         gaussians=ply.gaussians,
@@ -103,7 +108,7 @@ def read_thermal(run: Path, name: str) -> ThermalModel:
         unit="counts" if ply.celsius_range is None else "°C",
         range=file.range,
         color_range=file.color_range,
-        settings=file.settings,
+        settings=_in_unit(file.settings, 1.0 / given_from_world.factor),
         sfm_per_metre=file.sfm_per_metre,
         history=file.history,
         sensor=SensorModel(file.drift, _pattern(run, name, file.pattern)),
@@ -112,16 +117,22 @@ def read_thermal(run: Path, name: str) -> ThermalModel:
     )
 
 
-def write_thermal_ply(path: Path, model: ThermalModel, *, factor: float = 1.0) -> None:
-    """Write a thermal model with its lengths × `factor`; counts are no temperature and are not written as one."""
+def write_thermal_ply(path: Path, model: ThermalModel, given_from_world: Sim3) -> None:
+    """Write a thermal model; counts are no temperature and are not written as one."""
     found, celsius = model.temperatures, model.unit == "°C"
     known = (found.temperature, found.std, found.views) if found is not None and celsius else ()
     write_ply(
         path,
-        model.gaussians.scaled(factor) if factor != 1.0 else model.gaussians,
+        model.gaussians,
+        given_from_world=given_from_world,
         celsius_range=(model.color_range.lo, model.color_range.hi) if celsius else None,
         properties=dict(zip(THERMAL_PROPERTIES, known, strict=False)),
     )
+
+
+def _in_unit(settings: RenderSettings, factor: float) -> RenderSettings:
+    """The settings in a unit `factor` times smaller."""
+    return replace(settings, near_plane=settings.near_plane * factor)
 
 
 def _background(path: Path, values: Sequence[float], channels: int) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""What a run keeps about its capture: `capture_summary.json`."""
+"""What a run keeps about its capture: `capture_summary.json`, and `scene/world.json`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import from_json, read_json
+from rtgs.maths.geometry import Sim3
 from rtgs.records.radiometry import Unit
 from rtgs.records.scene import Scene
 
@@ -66,3 +69,29 @@ class CaptureSummary:
             return from_json(CaptureSummary, data, str(path))
         except RtgsError as error:
             raise RtgsError(f"{error} Remove it and run again.") from None
+
+
+@dataclass(frozen=True)
+class WorldFile:
+    """`scene/world.json`: which world was computed in, x_given = factor · x_world + translation.
+
+    Attributes:
+        factor: SfM units per unit of the world. translation: `[3]`, SfM units.
+    """
+
+    factor: float
+    translation: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if not 1e-30 < self.factor < 1e30:
+            raise RtgsError(f"factor is {self.factor:g}; it is a length, above 0.")
+
+    @staticmethod
+    def of(given_from_world: Sim3) -> WorldFile:
+        x, y, z = given_from_world.translation.tolist()
+        return WorldFile(given_from_world.factor, (x, y, z))
+
+    @property
+    def given_from_world(self) -> Sim3:
+        """The similarity; it does not turn."""
+        return Sim3(self.factor, np.eye(3), np.array(self.translation))

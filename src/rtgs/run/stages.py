@@ -84,7 +84,7 @@ def _make_rgb_model(job: Job) -> None:
             )
         held_out = model.history.get("held_out_psnr")
         told = f", held-out PSNR {held_out[-1]:.2f} dB" if held_out else ""
-    job.results.write_rgb(model)
+    job.results.write_rgb(model, scene.given_from_world)
     job.say(f"rgb: {len(model.gaussians):,} Gaussians{told}")
 
 
@@ -117,10 +117,10 @@ def _fit_temperatures(job: Job) -> None:
     with job.work("thermal", TITLES["thermal"]) as progress:
         model = fit(sfm_per_metre, progress)
         model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress, memory=job.memory))
-    job.results.write_thermal(model)
+    job.results.write_thermal(model, scene.given_from_world)
     with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
         naive = fit(1.0, progress)
-    job.results.write_thermal(naive, "thermal_naive")
+    job.results.write_thermal(naive, scene.given_from_world, "thermal_naive")
     job.say(f"thermal: {len(model.gaussians):,} Gaussians with a temperature")
 
 

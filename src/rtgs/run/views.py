@@ -61,6 +61,7 @@ def render_views(
     if planck is not None:
         planck.reevaluated(np.zeros(1), **changes)  # limits, before any work
     rgb, thermal, scale = folder.read_rgb(), folder.read_thermal(), folder.read_scale()
+    world_per_metre = scene.world_per_metre(scale.sfm_per_metre)
     camera = scene.rig.rgb if viewpoint == "rgb" else scene.rig.thermal
     chosen = list(names) or [f.name for f in scene.frames]
     out.mkdir(parents=True, exist_ok=True)
@@ -79,7 +80,7 @@ def render_views(
         assert view.depth is not None
         alpha = view.alpha.numpy()
         with np.errstate(invalid="ignore", divide="ignore"):
-            depth_m = np.where(alpha > 0.5, view.depth.numpy() / alpha * scale.metres_per_sfm, np.nan)
+            depth_m = np.where(alpha > 0.5, view.depth.numpy() / alpha / world_per_metre, np.nan)
         for kind, values in (("thermal", temperature), ("depth", depth_m)):
             path = out / f"{name}.{kind}.tiff"
             save_tiff(path, values.astype(np.float32))

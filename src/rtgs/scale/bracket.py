@@ -90,7 +90,7 @@ def flow_per_unit(scene: Scene, model: RgbModel) -> NDArray[np.float64]:
 def flow_field(scene: Scene, model: RgbModel, frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """∂(u, v)/∂s at s → 0 in thermal pixels, `[2, h, w]` at a reduced size, and which of its pixels the model covers."""
     camera, small = scene.rig.thermal, _small(scene)
-    velocity = -(scene.rig.rgb_from_thermal.rotation.T @ scene.rig.rgb_from_thermal.translation)
+    velocity = -scene.world_per_metre(1.0) * (scene.rig.rgb_from_thermal.rotation.T @ scene.rig.rgb_from_thermal.translation)
     slope_x = ((np.arange(small.width) + 0.5 - small.cx) / small.fl_x)[None, :]
     slope_y = ((np.arange(small.height) + 0.5 - small.cy) / small.fl_y)[:, None]
     pose, settings = scene.thermal_from_world(frame.name, 0.0), replace(model.settings, with_depth=True)

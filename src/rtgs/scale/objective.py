@@ -164,7 +164,8 @@ class Objective:
         return self.scene.rig.rgb_from_thermal.to_torch(torch.float64)
 
     def _pose(self, index: int, theta: Tensor) -> SE3:
-        return (self._world_from_rgb[index] @ self._rgb_from_thermal.with_baseline_scaled(torch.exp(theta))).inverse()  # Eq. 1
+        per_metre = self.scene.world_per_metre(torch.exp(theta))
+        return (self._world_from_rgb[index] @ self._rgb_from_thermal.with_baseline_scaled(per_metre)).inverse()  # Eq. 1
 
     def _sharp(self, index: int, theta: Tensor) -> Tensor:
         view = render(self.model.gaussians, self._camera, self._pose(index, theta), settings=self._settings)
@@ -173,7 +174,7 @@ class Objective:
     def _along_scale(self, index: int, theta: float) -> tuple[Tensor, Tensor]:
         """Gray picture `[h, w]` and its tangent along θ, `[1, h, w]`."""
         pose = self._pose(index, torch.tensor(theta, dtype=torch.float64))
-        return self._with_tangents(self._camera, pose, [scale_direction(self.scene.rig, theta)])
+        return self._with_tangents(self._camera, pose, [scale_direction(self.scene, theta)])
 
     def _with_tangents(self, camera: Camera, pose: SE3, directions: Sequence[Direction]) -> tuple[Tensor, Tensor]:
         """Gray picture `[h, w]` and its tangents `[K, h, w]`."""

@@ -86,7 +86,7 @@ class RigLoss:
         for i in indices:
             name = objective.frames[i].name
             pose = here.thermal_from_world(name, s)
-            directions = [scale_direction(here.rig, x[0]), *(_direction(pair, name, s, pose) for pair in ends)]
+            directions = [scale_direction(here, x[0]), *(_direction(pair, name, s, pose) for pair in ends)]
             found.append(objective.products(i, here.rig.thermal, pose, directions))
             self.progress(f"calibration, s = {s:.5g}")
         return Point(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3, rotation_from_axis_angle
 from rtgs.records.rig import CalibrationStd, Rig
+from rtgs.records.scene import Scene
 from rtgs.renderer import Direction
 from rtgs.scale.records import Freedom
 
@@ -73,9 +74,12 @@ def stated_motions(rig: Rig, besides: Sequence[str] = ()) -> tuple[RigMotion, ..
     return motions(rig, [name for name, kind in MOTIONS.items() if kind.stated_std(given) > 0 and name not in besides])
 
 
-def scale_direction(rig: Rig, theta: float) -> Direction:
-    """How the thermal camera moves with θ = ln s: x_thermal = Rᵀ(x_rgb − s·t), so ∂x_thermal/∂θ = −s·Rᵀt."""
-    x, y, z = (-math.exp(theta) * (rig.rgb_from_thermal.rotation.T @ rig.rgb_from_thermal.translation)).tolist()
+def scale_direction(scene: Scene, theta: float) -> Direction:
+    """How the thermal camera moves with θ = ln s: x_thermal = Rᵀ(x_rgb − s·t), so ∂x_thermal/∂θ = −s·Rᵀt, in world units."""
+    rig = scene.rig
+    x, y, z = (
+        -scene.world_per_metre(math.exp(theta)) * (rig.rgb_from_thermal.rotation.T @ rig.rgb_from_thermal.translation)
+    ).tolist()
     return Direction(translation=(x, y, z))
 
 

@@ -21,7 +21,7 @@ from rtgs.config import SfmConfig
 from rtgs.io.colmap import quiet_colmap
 from rtgs.io.image_files import list_images, read_header, write_upright
 from rtgs.maths.geometry import SE3
-from rtgs.records.capture import Capture, SparsePoints
+from rtgs.records.capture import NO_POINTS, Capture, SparsePoints
 from rtgs.records.scene import Scene
 from rtgs.sfm.colmap_job import ColmapJob, matched_pairs
 
@@ -39,7 +39,8 @@ def run_sfm(
             exception from it (or Ctrl-C) ends COLMAP's work and is raised here.
 
     Returns:
-        The scene. `failures` says why each missing frame is missing; a triangulation without a point adds a warning to the
+        The scene, in a world that is recentred and scaled: `Scene.given_from_world` leads back to the frame of the capture's poses or of
+        COLMAP. `failures` says why each missing frame is missing; a triangulation without a point adds a warning to the
         capture.
 
     Raises:
@@ -49,7 +50,7 @@ def run_sfm(
     config = config or SfmConfig()
     report = progress or (lambda done, total, stage: None)
     if capture.poses is not None and capture.poses.points is not None and len(capture.poses.points) > 0:
-        return _scene_from_poses(capture, capture.poses.world_from_rgb, capture.poses.points)
+        return _scene_from_poses(capture, capture.poses.world_from_rgb, capture.poses.points).recentred()
     with quiet_colmap():
         if work_dir is not None:
             work_dir.mkdir(parents=True, exist_ok=True)
@@ -74,14 +75,16 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
     job.match()
     poses = capture.poses
     if poses is None:
-        return job.map()
-    points = job.triangulate(poses.world_from_rgb)
+        return job.map().recentred()
+    # Points are triangulated in the world: far from the origin, COLMAP's float64 runs short of digits too.
+    scene = _scene_from_poses(capture, poses.world_from_rgb, NO_POINTS).recentred()
+    points = job.triangulate(scene.steady().world_from_rgb)
     if len(points) == 0:
         said = (
             "No point could be triangulated from the poses that came with the capture; the RGB model starts from random points."
         )
         capture = replace(capture, warnings=(*capture.warnings, said))
-    return _scene_from_poses(capture, poses.world_from_rgb, points)
+    return replace(scene, capture=capture, points=points)
 
 
 def _check_space(work_dir: Path, frames: int, config: SfmConfig) -> None:

@@ -17,7 +17,8 @@ from rtgs.experiments.strategies.manual import manual_scale
 def test_manual_scale_from_two_cameras() -> None:
     scene, _ = wall_scene()
     metres = float(np.linalg.norm(scene.world_from_rgb["f01"].translation - scene.world_from_rgb["f06"].translation)) / TRUTH
-    assert manual_scale(scene, ManualConfig(("f01", "f06"), metres)) == pytest.approx(TRUTH, rel=1e-9)
+    for same in (scene, scene.recentred()):
+        assert manual_scale(same, ManualConfig(("f01", "f06"), metres)) == pytest.approx(TRUTH, rel=1e-9)
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])

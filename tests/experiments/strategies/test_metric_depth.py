@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tests.helpers.wall_scene import PLANE_M, RGB, TRUTH, wall_scene
 
 from rtgs.base.errors import RtgsError
 from rtgs.experiments.strategies.metric_depth import load_depth_model, scale_from_depth
+from rtgs.maths.geometry import Sim3
 
 
 def test_depths_in_metres_give_the_scale() -> None:
@@ -26,6 +28,8 @@ def test_depths_in_metres_give_the_scale() -> None:
         return metres * (7 if frames[id(rgb)] == "f03" else 1)
 
     assert scale_from_depth(scene, model, predict) == pytest.approx(TRUTH, rel=2e-3)
+    in_millimetres = replace(scene, given_from_world=Sim3(1000.0, np.eye(3), np.zeros(3)))
+    assert scale_from_depth(in_millimetres, model, predict) == pytest.approx(1000 * TRUTH, rel=2e-3)
     with pytest.raises(RtgsError, match="no positive depth"):
         scale_from_depth(scene, model, lambda rgb: np.zeros(rgb.shape[:2], np.float32))
 

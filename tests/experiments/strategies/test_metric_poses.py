@@ -34,6 +34,7 @@ def test_lengths_in_metres_give_the_scale() -> None:
         return float(length) * (3 if (a.name, b.name) == pairs[1] else 1)
 
     assert scale_from_pairs(scene, predict) == pytest.approx(TRUTH, rel=1e-9)
+    assert scale_from_pairs(scene.recentred(), predict) == pytest.approx(TRUTH, rel=1e-9)
     with pytest.raises(RtgsError, match="none of"):
         scale_from_pairs(scene, lambda a, b, camera: None)
 

@@ -43,7 +43,7 @@ def manual_scale(scene: Scene, config: ManualConfig) -> float:
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if length == 0:
         raise RtgsError("--manual: the two ends of the length are one point")
-    return length / config.metres
+    return length * scene.given_from_world.factor / config.metres
 
 
 def triangulated(scene: Scene, picks: dict[str, tuple[float, float]]) -> NDArray[np.float64]:

@@ -52,7 +52,7 @@ def scale_from_depth(scene: Scene, rgb_model: RgbModel, predict: DepthPredictor,
             progress(done + 1, len(scene.train_frames), frame.name)
     if not ratios:
         raise RtgsError("the depth model predicts no positive depth where the RGB model is opaque")
-    return float(np.median(ratios))
+    return float(np.median(ratios)) * scene.given_from_world.factor
 
 
 def load_depth_model(folder: Path) -> DepthPredictor:

@@ -50,7 +50,7 @@ def scale_from_pairs(scene: Scene, predict: PairPredictor, *, progress: Progress
         metres = predict(frames[a], frames[b], scene.rig.rgb)
         if metres is not None and np.isfinite(metres) and metres > 0:
             length = np.linalg.norm(scene.world_from_rgb[a].translation - scene.world_from_rgb[b].translation)
-            ratios.append(float(length) / metres)
+            ratios.append(float(length) * scene.given_from_world.factor / metres)
         if progress is not None:
             progress(done + 1, len(pairs), f"{a} – {b}")
     if not ratios:
