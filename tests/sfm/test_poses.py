@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ from rtgs.maths.geometry import SE3, look_at
 from rtgs.records.camera import Camera
 from rtgs.records.radiometry import RelativeCounts
 from rtgs.records.rig import Rig
+from rtgs.sfm.colmap_job import ColmapJob
 from rtgs.sfm.poses import run_sfm
 
 pytestmark = pytest.mark.thorough
@@ -156,6 +158,17 @@ def test_the_same_points_from_poses_far_from_the_origin(own_room: Path, tmp_path
         found.append(scene.points)
     np.testing.assert_allclose(found[0].xyz, found[1].xyz, rtol=0, atol=1e-12)  # COLMAP's threads add up in any order
     np.testing.assert_array_equal(found[0].rgb, found[1].rgb)
+
+
+def test_images_have_their_numbers_in_the_order_of_their_names(own_room: Path, tmp_path: Path) -> None:
+    """What COLMAP finds depends on the numbers, and it would give them as its threads get done."""
+    job = ColmapJob(
+        load_capture(own_room), CONFIG, tmp_path, lambda done, total, text: None, own_room / "rgb", {n: f"{n}.png" for n in NAMES}
+    )
+    job.find_features()
+    with closing(pycolmap.Database.open(tmp_path / "database.db")) as database:
+        assert [i.name for i in sorted(database.read_all_images(), key=lambda i: i.image_id)] == [f"{n}.png" for n in NAMES]
+        assert all(database.num_keypoints_for_image(k) > 0 for k in range(1, len(NAMES) + 1))
 
 
 def test_poses_with_points_are_taken_as_they_are(own_room: Path) -> None:

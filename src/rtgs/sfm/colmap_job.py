@@ -87,6 +87,7 @@ class ColmapJob:
         for suffix in ("", "-wal", "-shm"):  # what a run that was cut off left here
             Path(f"{self.database}{suffix}").unlink(missing_ok=True)
         camera = colmap_camera(self.capture.raw_rig.rgb, 1)
+        self._number_images(camera)
         reader = pycolmap.ImageReaderOptions(camera_model=camera.model_name, camera_params=camera.params_to_string())
         extraction = pycolmap.FeatureExtractionOptions(max_image_size=self.config.max_image_side, use_gpu=False)
         extraction.sift.max_num_features = self.config.max_features
@@ -104,6 +105,23 @@ class ColmapJob:
             )
 
         self._run(task, "features", lambda: self._count_rows("keypoints"), len(self.files))
+
+    def _number_images(self, camera: pycolmap.Camera) -> None:
+        """Give images their numbers in the order of their names.
+
+        COLMAP would number them as its threads get done with them, and what it finds depends on the numbers.
+        """
+        with closing(pycolmap.Database.open(self.database)) as database:
+            camera.camera_id = database.write_camera(camera, use_camera_id=True)
+            rig = pycolmap.Rig(rig_id=1)
+            rig.add_ref_sensor(camera.sensor_id)
+            database.write_rig(rig, use_rig_id=True)
+            for number, name in enumerate(sorted(self.files.values()), start=1):
+                image = pycolmap.Image(name=name, camera_id=camera.camera_id, image_id=number)
+                database.write_image(image, use_image_id=True)
+                frame = pycolmap.Frame(frame_id=number, rig_id=1)
+                frame.add_data_id(image.data_id)
+                database.write_frame(frame, use_frame_id=True)
 
     def match(self) -> None:
         """Match features between images and keep the matches that one two-view geometry explains."""
@@ -181,7 +199,7 @@ class ColmapJob:
         posed = pycolmap.Reconstruction()
         posed.add_camera_with_trivial_rig(colmap_camera(self.capture.raw_rig.rgb, 1))
         with closing(pycolmap.Database.open(self.database)) as database:
-            images = {image.name: image for image in database.read_all_images()}
+            images = {i.name: i for i in database.read_all_images() if database.exists_keypoints(i.image_id)}
         for name, file in self.files.items():
             if file in images:
                 image = pycolmap.Image(name=file, camera_id=1, image_id=images[file].image_id)
@@ -220,7 +238,7 @@ class ColmapJob:
     def _failures(self, registered: Mapping[str, SE3]) -> dict[str, str]:
         """Why each frame that isn't registered isn't, from what the database holds of it."""
         with closing(pycolmap.Database.open(self.database)) as database:
-            images = {image.name: image.image_id for image in database.read_all_images()}
+            images = {i.name: i.image_id for i in database.read_all_images() if database.exists_keypoints(i.image_id)}
             n_features = {i: database.num_keypoints_for_image(i) for i in images.values()}
             most_inliers = dict.fromkeys(images.values(), 0)
             for pair, inliers in zip(*database.read_two_view_geometry_num_inliers(), strict=True):
