@@ -13,7 +13,7 @@ from rtgs.records.camera import Camera
 from rtgs.records.capture import SparsePoints
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
-from rtgs.records.world import given_from_world, power_of_two, rounding
+from rtgs.records.world import given_from_world, is_far, power_of_two, rounding
 
 CAMERA = Camera("PINHOLE", 4, 3, 4.0, 4.0, 2.0, 1.5)
 RIG = Rig(CAMERA, CAMERA, SE3(np.eye(3), np.array([0.1, 0.02, 0.0])))
@@ -107,3 +107,10 @@ def test_the_digits_that_positions_have() -> None:
 
 def test_powers_of_two() -> None:
     assert [power_of_two(v) for v in (1.0, 1.3, 0.9, 3.0, 1e-4, 0.0)] == [1.0, 1.0, 1.0, 4.0, 2.0**-13, 1.0]
+
+
+@pytest.mark.parametrize(("origin", "far"), [(0.0, False), (50.0, False), (1000.0, True)])
+def test_far_is_measured_in_spreads_of_the_cameras(origin: float, far: bool) -> None:
+    for unit in (1e-4, 1.0):
+        given = captured(np.array([origin, 0.0, 0.0]) * unit, unit)
+        assert is_far(given_from_world(given.world_from_rgb.values())) == far

@@ -107,3 +107,17 @@ def test_a_run_of_an_earlier_version_goes_on_in_the_given_frame(run: Path) -> No
     main(["eval", str(run)])
     for kind in ("rgb", "thermal"):
         assert strict_json(run / "metrics.json")[kind]["psnr"] == pytest.approx(before[kind]["psnr"], rel=1e-4)
+
+
+def test_a_scene_of_an_earlier_version_far_from_the_origin_is_told(moved: tuple[Path, float, float], tmp_path: Path) -> None:
+    run, origin, _ = moved
+    old = Path(shutil.copytree(run, tmp_path / "run"))
+    (old / "scene" / "world.json").unlink()
+    recorder, code = recorded(["rgb", str(old), "--steps", "10"])
+    assert code == 0
+    assert any("Remove the folder scene/" in line for line in recorder.lines) == bool(origin)
+    if origin:
+        shutil.rmtree(old / "scene")
+        recorder, code = recorded(["rgb", str(old)])
+        assert code == 0 and not any("scene/" in line for line in recorder.lines)
+        assert RunFolder(old).given_from_world.factor < 1e6

@@ -33,9 +33,7 @@ from rtgs.base.files import write_whole
 from rtgs.maths.geometry import Sim3
 from rtgs.maths.sh import C0
 from rtgs.records.gaussians import Gaussians
-
-FAR_ORIGIN = 100.0
-"""Distance of the origin, in spreads of the cameras, from which on positions are doubles: floats would be off by 6e-6 of a spread."""
+from rtgs.records.world import is_far
 
 THERMAL_PROPERTIES = ("temperature", "temperature_std", "views")
 _THERMAL = "rtgs thermal"
@@ -137,8 +135,7 @@ def _positions(means: NDArray[np.float32], given_from_world: Sim3) -> NDArray[np
     if given_from_world.factor == 1.0 and not given_from_world.translation.any():
         return means
     positions = given_from_world.apply(means.astype(np.float64))
-    far = np.abs(given_from_world.translation).max() > FAR_ORIGIN * given_from_world.factor
-    return positions if far else positions.astype(np.float32)
+    return positions if is_far(given_from_world) else positions.astype(np.float32)
 
 
 def read_ply(path: Path, given_from_world: Sim3 | None = None) -> Gaussians:

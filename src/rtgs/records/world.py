@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from rtgs.maths.geometry import SE3, Sim3
 
+FAR_ORIGIN = 100.0
+"""Distance of the origin, in spreads of the cameras, from which on positions in float32 are off by more than 6e-6 of a spread."""
+
 POSITION_STEP = 2.0**-18
 """Grid of `Scene.steady` for camera positions, in spreads of the cameras: 0.004 pixels at a focal length of 1000, one spread away."""
 
@@ -32,6 +35,11 @@ def given_from_world(given_from_rgb: Iterable[SE3]) -> Sim3:
     middle = np.median(centres, axis=0)
     factor = spread(centres, middle)
     return Sim3(factor if factor > 0 else 1.0, np.eye(3), middle)
+
+
+def is_far(frame_from_world: Sim3) -> bool:
+    """Whether the frame is too far from its origin for float32."""
+    return bool(np.abs(frame_from_world.translation).max() > FAR_ORIGIN * frame_from_world.factor)
 
 
 def spread(centres: NDArray[np.float64], middle: NDArray[np.float64]) -> float:

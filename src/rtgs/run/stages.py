@@ -65,10 +65,16 @@ def _find_poses(job: Job) -> None:
 
 
 def _make_rgb_model(job: Job) -> None:
+    from rtgs.records.world import given_from_world, is_far
     from rtgs.rgb.imported import import_model
     from rtgs.rgb.train import fit_rgb
 
     scene, ply = job.scene, job.config.rgb_ply
+    if is_far(given_from_world(scene.world_from_rgb.values())):
+        job.warn(
+            "scene/ is of an earlier version, whose models are not exact so far from the origin. Remove the folder scene/ of the run, and "
+            "run again: then all stages are done anew, about the middle of the cameras."
+        )
 
     def snapshot(step: int, model: RgbModel) -> None:
         job.listener(ModelSnapshot("rgb", step, model))
