@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,10 @@ import numpy as np
 import pycolmap
 import pytest
 from tests.helpers.captures import NAMES, POSES, RGB, edit_rig, refused, write_poses, write_sparse
+from tests.helpers.file_limit import no_file_above
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import write_whole
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import colmap_camera, read_scene, read_sparse, rigid3d_from_se3, write_scene
 from rtgs.maths.geometry import SE3
@@ -83,6 +86,19 @@ def test_a_thermal_camera_that_fires_late_has_poses_of_its_own(root: Path, tmp_p
         )
     again = read_scene(tmp_path / "scene", scene.capture)
     assert list(again.world_from_rgb) == list(scene.world_from_rgb)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of file sizes there")
+@pytest.mark.parametrize("limit", [60, 250, 1000])
+def test_a_write_that_colmap_overlooks_is_found(root: Path, tmp_path: Path, limit: int) -> None:
+    scene = scene_of(root)
+    with (
+        pytest.raises(OSError, match="File too large") as stop,
+        no_file_above(limit),
+        write_whole(tmp_path / "scene") as temporary,
+    ):
+        write_scene(temporary, scene, 2.5)
+    assert stop.value.filename == str(tmp_path / "scene") and not (tmp_path / "scene").exists()
 
 
 def test_scene_folder_of_another_capture_is_refused(root: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_structure_from_motion_without_room(capture: Path, tmp_path: Path, capsy
     with no_file_above(1_000_000):
         assert recorded(["run", str(capture), "--out", str(tmp_path / "run"), *TINY])[1] == 2
     error = error_of(capsys)
-    assert "structure from motion may need" in error and "may have 1 MB" in error
+    assert "structure from motion may need" in error and "may have 1.0 MB" in error
     assert not [p for p in (tmp_path / "run").iterdir() if p.name.endswith(".tmp")]
 
 

@@ -2,92 +2,28 @@
 
 from __future__ import annotations
 
-import shutil
 from contextlib import closing
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pycolmap
 import pytest
 from PIL import Image
 from tests.helpers.captures import thermal_counts
+from tests.helpers.photographed_room import NAMES, POSES, RGB
 
 from rtgs.base.errors import RtgsError
 from rtgs.config import SfmConfig
 from rtgs.io.capture import load_capture
 from rtgs.io.colmap import colmap_camera, rigid3d_from_se3
-from rtgs.io.rig import write_rig
 from rtgs.io.transforms import write_transforms
-from rtgs.maths.geometry import SE3, look_at
-from rtgs.records.camera import Camera
-from rtgs.records.radiometry import RelativeCounts
-from rtgs.records.rig import Rig
-from rtgs.sfm.colmap_job import ColmapJob
+from rtgs.maths.geometry import SE3
+from rtgs.sfm.colmap_job import Task, do
 from rtgs.sfm.poses import run_sfm
 
 pytestmark = pytest.mark.thorough
 
-RGB = Camera("OPENCV", 320, 240, 300.0, 303.0, 161.5, 118.0, k1=-0.08, k2=0.02, p1=0.001, p2=-0.001)
-THERMAL = Camera("PINHOLE", 40, 32, 45.0, 45.0, 20.0, 16.0)
-N_FRAMES = 9
-NAMES = [f"{i:03d}" for i in range(N_FRAMES)]
-POSES = {
-    name: look_at([3.0 + 0.8 * np.cos(a), 3.0 + 0.8 * np.sin(a), 1.5 + 0.4 * np.sin(2 * a)], [0.5, 0.5, 0.6])
-    for name, a in zip(NAMES, np.linspace(0, 4.5, N_FRAMES), strict=True)
-}
 CONFIG = SfmConfig(max_features=1000)
-
-
-def texture(seed: int) -> np.ndarray:
-    """`[512, 512, 3]` noise at every scale, so that SIFT finds plenty."""
-    rng = np.random.default_rng(seed)
-    out = np.zeros((512, 512, 3), np.float32)
-    for size in (8, 16, 32, 64, 128, 256):
-        out += cv2.resize(rng.normal(size=(size, size, 3)).astype(np.float32), (512, 512), interpolation=cv2.INTER_CUBIC)
-    return np.clip(0.5 + 0.15 * out, 0, 1).astype(np.float32)
-
-
-TEXTURES = [texture(seed) for seed in range(3)]
-
-
-def render(pose: SE3) -> np.ndarray:
-    """`[H, W, 3]` uint8: the planes x = 0, y = 0 and z = 0 as the camera, lens included, sees them from the positive octant."""
-    fine = 2  # samples a pixel and axis, against aliasing
-    camera = colmap_camera(RGB.resized(RGB.width * fine, RGB.height * fine), 1)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.concatenate([camera.cam_from_img(np.stack([x.ravel(), y.ravel()], axis=1)), np.ones((x.size, 1))], axis=1)
-    directions = rays @ pose.rotation.T
-    with np.errstate(divide="ignore"):
-        t = -pose.translation / directions
-    t[t <= 0] = np.inf
-    plane = t.argmin(axis=1)
-    hit = pose.translation + directions * t.min(axis=1, keepdims=True)
-    image = np.zeros((*x.shape, 3), np.float32)
-    for k in range(3):
-        u, v = (np.delete(hit, k, axis=1) * 100 % 511).astype(np.float32).T.reshape(2, *x.shape)
-        image[(plane == k).reshape(x.shape)] = cv2.remap(TEXTURES[k], u, v, cv2.INTER_LINEAR)[(plane == k).reshape(x.shape)]
-    small = cv2.resize(image, (RGB.width, RGB.height), interpolation=cv2.INTER_AREA)
-    return np.round(small * 255).astype(np.uint8)
-
-
-@pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The capture, photographs alone."""
-    root = tmp_path_factory.mktemp("room")
-    (root / "rgb").mkdir()
-    (root / "thermal").mkdir()
-    for i, (name, pose) in enumerate(POSES.items()):
-        Image.fromarray(render(pose)).save(root / "rgb" / f"{name}.png")
-        Image.fromarray(thermal_counts(3000 + i)).save(root / "thermal" / f"{name}.png")
-    write_rig(root / "rig.json", Rig(RGB, THERMAL, SE3(np.eye(3), np.array([0.05, 0.0, 0.0]))), RelativeCounts())
-    return root
-
-
-@pytest.fixture
-def own_room(room: Path, tmp_path: Path) -> Path:
-    """A copy to change."""
-    return Path(shutil.copytree(room, tmp_path / "room"))
 
 
 def listing(root: Path) -> list[str]:
@@ -162,10 +98,8 @@ def test_the_same_points_from_poses_far_from_the_origin(own_room: Path, tmp_path
 
 def test_images_have_their_numbers_in_the_order_of_their_names(own_room: Path, tmp_path: Path) -> None:
     """What COLMAP finds depends on the numbers, and it would give them as its threads get done."""
-    job = ColmapJob(
-        load_capture(own_room), CONFIG, tmp_path, lambda done, total, text: None, own_room / "rgb", {n: f"{n}.png" for n in NAMES}
-    )
-    job.find_features()
+    files = {n: f"{n}.png" for n in NAMES}
+    do(Task(own_room, RGB, CONFIG, tmp_path, own_room / "rgb", files, None), lambda done, total, text: None)
     with closing(pycolmap.Database.open(tmp_path / "database.db")) as database:
         assert [i.name for i in sorted(database.read_all_images(), key=lambda i: i.image_id)] == [f"{n}.png" for n in NAMES]
         assert all(database.num_keypoints_for_image(k) > 0 for k in range(1, len(NAMES) + 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 from collections.abc import Iterator
@@ -68,6 +69,27 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def room(folder: Path) -> float:
+    """How many bytes a file in a folder may have: what is free on its disk, or the limit of this process where that is less."""
+    return min(shutil.disk_usage(folder).free, _largest_file())
+
+
+def room_in(folder: Path) -> str:
+    """`room` in words, for a message."""
+    free, limit = shutil.disk_usage(folder).free, _largest_file()
+    said = f"{free / 1e6:,.1f} MB are free there"
+    return said if free < limit else f"{said}, and a file of this process may have {limit / 1e6:,.1f} MB"
+
+
+def _largest_file() -> float:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return math.inf
+    soft = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return math.inf if soft == resource.RLIM_INFINITY else soft
 
 
 def sha256_of(path: Path) -> str:

@@ -7,10 +7,9 @@ Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one 
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from collections.abc import Sequence
-from errno import EDQUOT, ENOSPC
+from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 
 import tyro
@@ -19,6 +18,7 @@ from rich.console import Console
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, to_all
+from rtgs.base.files import room_in
 from rtgs.cli.options import saved_settings
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 from rtgs.cli.table import all_commands, experiment_commands
@@ -87,10 +87,10 @@ def _run(arguments: Sequence[str], listener: Listener) -> None:
 
 def _free_space(error: OSError) -> str:
     """What is left on a disk that is full."""
-    if error.errno not in (ENOSPC, EDQUOT):
+    if error.errno not in (ENOSPC, EDQUOT, EFBIG):
         return ""
     folder = Path(error.filename).parent
-    return f" ({shutil.disk_usage(folder).free / 1e6:,.1f} MB are free there)" if folder.is_dir() else ""
+    return f" ({room_in(folder)})" if folder.is_dir() else ""
 
 
 def _complain(text: str) -> None:

@@ -5,11 +5,13 @@ COLMAP stores `camera_from_world`; records here hold `world_from_rgb`, inverted 
 
 from __future__ import annotations
 
+import os
 import signal
 import struct
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from errno import EIO
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +130,7 @@ def write_scene(path: Path, scene: Scene, sfm_per_metre: float | None) -> None:
     path.mkdir(parents=True, exist_ok=True)
     with quiet_colmap():
         model.write_binary(path)
+    _check_written(path)
     failures = {name: scene.failures[name] for name in sorted(scene.failures)}
     write_json(path / _FAILURES, failures)
 
@@ -240,18 +243,36 @@ def _image_names(folder: Path, model: pycolmap.Reconstruction) -> dict[int, str]
     return names
 
 
+def _check_written(folder: Path) -> None:
+    """COLMAP overlooks writes that fail.
+
+    Raises:
+        OSError: a file of the model is not whole, for the reason that writing on gives.
+    """
+    for name, walk in _WALKS.items():
+        path = folder / f"{name}.bin"
+        if not _is_complete(path.read_bytes(), walk):
+            with path.open("ab") as file:
+                file.write(bytes(1 << 20))
+                file.flush()
+                os.fsync(file.fileno())
+            raise OSError(EIO, os.strerror(EIO))
+
+
+def _is_complete(data: bytes, walk: Callable[[bytes, int], int]) -> bool:
+    try:
+        return walk(data, struct.unpack_from("<Q", data)[0]) <= len(data)
+    except (struct.error, ValueError, OverflowError):
+        return False
+
+
 def _check_binary_lengths(folder: Path) -> None:
     """Refuse truncated binary files: COLMAP takes what it reads past the end for a count and works on it for minutes."""
     for name, walk in _WALKS.items():
         path = folder / f"{name}.bin"
         if not path.is_file():
             continue  # a text model, or none: COLMAP says which file it misses
-        data = path.read_bytes()
-        try:
-            complete = walk(data, struct.unpack_from("<Q", data)[0]) <= len(data)
-        except (struct.error, ValueError, OverflowError):
-            complete = False
-        if not complete:
+        if not _is_complete(path.read_bytes(), walk):
             raise RtgsError(f"{path}: is truncated. Copy or export the model again, or remove the folder.")
 
 

@@ -17,13 +17,14 @@ from typing import Any, TypeVar
 import pycolmap
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import room_in
 from rtgs.base.progress import Progress
 from rtgs.config import SfmConfig
 from rtgs.io.capture import MIN_FRAMES
-from rtgs.io.colmap import colmap_camera, points_from_colmap, rigid3d_from_se3, se3_from_rigid3d
+from rtgs.io.colmap import colmap_camera, points_from_colmap, quiet_colmap, rigid3d_from_se3, se3_from_rigid3d
 from rtgs.maths.geometry import SE3
-from rtgs.records.capture import Capture, SparsePoints
-from rtgs.records.scene import Scene
+from rtgs.records.camera import Camera
+from rtgs.records.capture import SparsePoints
 
 T = TypeVar("T")
 
@@ -52,51 +53,84 @@ def matched_pairs(frames: int, config: SfmConfig) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class ColmapJob:
-    """One run of COLMAP on a capture's RGB images: find features, match, then map or triangulate.
-
-    Every step may raise `RtgsError`, with COLMAP's own message.
+class Task:
+    """What COLMAP is to do with a capture's RGB images.
 
     Attributes:
+        root: the capture, for messages. camera: of its RGB files, lens included.
         work_dir: where the database and COLMAP's models go.
-        report: hears of the progress, in the thread that calls a step. An exception from it ends the step.
         image_dir: the folder that COLMAP reads.
         files: file name in `image_dir` by frame name.
+        world_from_rgb: poses to triangulate points with; None: poses are found too.
     """
 
-    capture: Capture
+    root: Path
+    camera: Camera
     config: SfmConfig
     work_dir: Path
-    report: Progress
     image_dir: Path
     files: Mapping[str, str]
+    world_from_rgb: Mapping[str, SE3] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What COLMAP found. `failures` says for each frame without a pose why it has none."""
+
+    world_from_rgb: Mapping[str, SE3]
+    points: SparsePoints
+    failures: Mapping[str, str]
+
+
+def do(task: Task, report: Progress) -> Found:
+    """Find features, match, then map or triangulate, in this process. It may be ended by COLMAP, as where the disk is full.
+
+    Raises:
+        RtgsError: COLMAP's own message, or fewer than three frames could be registered.
+    """
+    job = _Job(task, report)
+    with quiet_colmap():
+        pycolmap.set_random_seed(task.config.seed)
+        job.find_features()
+        job.match()
+        if task.world_from_rgb is None:
+            return job.map()
+        return Found(task.world_from_rgb, job.triangulate(task.world_from_rgb), {})
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """The steps of a task. `report` hears of the progress, in the thread that calls a step. An exception from it ends the step."""
+
+    task: Task
+    report: Progress
 
     @property
     def database(self) -> Path:
         """COLMAP's file of features and matches."""
-        return self.work_dir / "database.db"
+        return self.task.work_dir / "database.db"
 
     @property
     def max_error_px(self) -> float:
         """Reprojection error of an inlier, in pixels of the original image."""
-        camera = self.capture.raw_rig.rgb
-        return max(_MAX_ERROR_PX, _MAX_ERROR_FEATURE_PX * max(camera.width, camera.height) / self.config.max_image_side)
+        camera = self.task.camera
+        return max(_MAX_ERROR_PX, _MAX_ERROR_FEATURE_PX * max(camera.width, camera.height) / self.task.config.max_image_side)
 
     def find_features(self) -> None:
         """Put the SIFT features of every image into a new database."""
         for suffix in ("", "-wal", "-shm"):  # what a run that was cut off left here
             Path(f"{self.database}{suffix}").unlink(missing_ok=True)
-        camera = colmap_camera(self.capture.raw_rig.rgb, 1)
+        camera = colmap_camera(self.task.camera, 1)
         self._number_images(camera)
         reader = pycolmap.ImageReaderOptions(camera_model=camera.model_name, camera_params=camera.params_to_string())
-        extraction = pycolmap.FeatureExtractionOptions(max_image_size=self.config.max_image_side, use_gpu=False)
-        extraction.sift.max_num_features = self.config.max_features
+        extraction = pycolmap.FeatureExtractionOptions(max_image_size=self.task.config.max_image_side, use_gpu=False)
+        extraction.sift.max_num_features = self.task.config.max_features
 
         def task(token: Any) -> None:
             pycolmap.extract_features(
                 self.database,
-                self.image_dir,
-                image_names=sorted(self.files.values()),
+                self.task.image_dir,
+                image_names=sorted(self.task.files.values()),
                 camera_mode=pycolmap.CameraMode.SINGLE,
                 reader_options=reader,
                 extraction_options=extraction,
@@ -104,7 +138,7 @@ class ColmapJob:
                 cancellation_token=token,
             )
 
-        self._run(task, "features", lambda: self._count_rows("keypoints"), len(self.files))
+        self._run(task, "features", lambda: self._count_rows("keypoints"), len(self.task.files))
 
     def _number_images(self, camera: pycolmap.Camera) -> None:
         """Give images their numbers in the order of their names.
@@ -116,7 +150,7 @@ class ColmapJob:
             rig = pycolmap.Rig(rig_id=1)
             rig.add_ref_sensor(camera.sensor_id)
             database.write_rig(rig, use_rig_id=True)
-            for number, name in enumerate(sorted(self.files.values()), start=1):
+            for number, name in enumerate(sorted(self.task.files.values()), start=1):
                 image = pycolmap.Image(name=name, camera_id=camera.camera_id, image_id=number)
                 database.write_image(image, use_image_id=True)
                 frame = pycolmap.Frame(frame_id=number, rig_id=1)
@@ -125,12 +159,12 @@ class ColmapJob:
 
     def match(self) -> None:
         """Match features between images and keep the matches that one two-view geometry explains."""
-        n = len(self.files)
+        n = len(self.task.files)
         options = pycolmap.FeatureMatchingOptions(use_gpu=False)
         verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=_MIN_INLIERS)
         verification.ransac.max_error = self.max_error_px
-        verification.ransac.random_seed = self.config.seed
-        exhaustive, total = is_exhaustive(n, self.config), matched_pairs(n, self.config)
+        verification.ransac.random_seed = self.task.config.seed
+        exhaustive, total = is_exhaustive(n, self.task.config), matched_pairs(n, self.task.config)
         common: dict[str, Any] = {
             "matching_options": options,
             "verification_options": verification,
@@ -147,8 +181,8 @@ class ColmapJob:
 
         self._run(task, "matching", lambda: self._count_rows("two_view_geometries"), total)
 
-    def map(self) -> Scene:
-        """Poses and points by incremental mapping; the largest model is the scene.
+    def map(self) -> Found:
+        """Poses and points by incremental mapping, from the largest model.
 
         Raises:
             RtgsError: fewer than three frames were registered.
@@ -162,11 +196,11 @@ class ColmapJob:
             registered[0] += 1
 
         def task(token: Any) -> dict[int, pycolmap.Reconstruction]:
-            models = self.work_dir / "models"
+            models = self.task.work_dir / "models"
             models.mkdir(exist_ok=True)
             return pycolmap.incremental_mapping(
                 self.database,
-                self.image_dir,
+                self.task.image_dir,
                 models,
                 options=self._mapper_options(),
                 initial_image_pair_callback=pair_registered,
@@ -174,9 +208,9 @@ class ColmapJob:
                 cancellation_token=token,
             )
 
-        models = self._run(task, "mapping", lambda: registered[0], len(self.files))
+        models = self._run(task, "mapping", lambda: registered[0], len(self.task.files))
         model = max(models.values(), key=lambda m: m.num_reg_images(), default=pycolmap.Reconstruction())
-        name_of_file = {file: name for name, file in self.files.items()}
+        name_of_file = {file: name for name, file in self.task.files.items()}
         world_from_rgb = {
             name_of_file[image.name]: se3_from_rigid3d(image.cam_from_world()).inverse()
             for image in sorted(model.images.values(), key=lambda image: image.name)
@@ -186,30 +220,30 @@ class ColmapJob:
         if len(world_from_rgb) < MIN_FRAMES:
             reasons = "; ".join(f"{name}: {why}" for name, why in list(failures.items())[:3])
             raise RtgsError(
-                f"{self.capture.root}: structure from motion could register {len(world_from_rgb)} of {len(self.files)} frames "
+                f"{self.task.root}: structure from motion could register {len(world_from_rgb)} of {len(self.task.files)} frames "
                 f"({reasons}). It needs sharp, textured RGB images that overlap by two thirds and are taken from different "
                 "places, not by turning on the spot. Check the RGB intrinsics in rig.json, or bring poses: transforms.json or "
                 "sparse/0."
             )
-        world_from_rgb = {name: world_from_rgb[name] for name in self.files if name in world_from_rgb}
-        return Scene(self.capture, world_from_rgb, points_from_colmap(model), failures)
+        world_from_rgb = {name: world_from_rgb[name] for name in self.task.files if name in world_from_rgb}
+        return Found(world_from_rgb, points_from_colmap(model), failures)
 
     def triangulate(self, world_from_rgb: Mapping[str, SE3]) -> SparsePoints:
         """Points from the matches, with poses and intrinsics held fixed."""
         posed = pycolmap.Reconstruction()
-        posed.add_camera_with_trivial_rig(colmap_camera(self.capture.raw_rig.rgb, 1))
+        posed.add_camera_with_trivial_rig(colmap_camera(self.task.camera, 1))
         with closing(pycolmap.Database.open(self.database)) as database:
             images = {i.name: i for i in database.read_all_images() if database.exists_keypoints(i.image_id)}
-        for name, file in self.files.items():
+        for name, file in self.task.files.items():
             if file in images:
                 image = pycolmap.Image(name=file, camera_id=1, image_id=images[file].image_id)
                 posed.add_image_with_trivial_frame(image, rigid3d_from_se3(world_from_rgb[name].inverse()))
-        output = self.work_dir / "triangulated"
+        output = self.task.work_dir / "triangulated"
         output.mkdir(exist_ok=True)
 
         def task(token: Any) -> pycolmap.Reconstruction:
             return pycolmap.triangulate_points(
-                posed, self.database, self.image_dir, output, options=self._mapper_options(), cancellation_token=token
+                posed, self.database, self.task.image_dir, output, options=self._mapper_options(), cancellation_token=token
             )
 
         model = self._run(task, "triangulation", lambda: 0, 1)
@@ -225,7 +259,7 @@ class ColmapJob:
             ba_refine_focal_length=False,
             ba_refine_principal_point=False,
             ba_refine_extra_params=False,
-            random_seed=self.config.seed,
+            random_seed=self.task.config.seed,
         )
         options.mapper.abs_pose_refine_focal_length = False
         options.mapper.abs_pose_refine_extra_params = False
@@ -245,7 +279,7 @@ class ColmapJob:
                 for i in pycolmap.pair_id_to_image_pair(pair):
                     most_inliers[i] = max(most_inliers[i], inliers)
         failures = {}
-        for name, file in self.files.items():
+        for name, file in self.task.files.items():
             if name in registered:
                 continue
             if file not in images:
@@ -297,7 +331,8 @@ class ColmapJob:
                 result = future.result()
             except (RuntimeError, ValueError, IndexError) as error:
                 raise RtgsError(
-                    f"{self.capture.root}: COLMAP failed in {stage}: {str(error).split('] ', 1)[-1].strip()}"
+                    f"{self.task.root}: COLMAP failed in {stage}: {str(error).split('] ', 1)[-1].strip():.300} It writes to "
+                    f"{self.task.work_dir}: {room_in(self.task.work_dir)}."
                 ) from error
         self.report(total, total, stage)
         return result

@@ -6,24 +6,21 @@ there are no poses, COLMAP's incremental mapper finds both, with the calibrated 
 
 from __future__ import annotations
 
-import math
-import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import pycolmap
-
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import room, room_in
 from rtgs.base.progress import Progress
 from rtgs.config import SfmConfig
-from rtgs.io.colmap import quiet_colmap
 from rtgs.io.image_files import list_images, read_header, write_upright
 from rtgs.maths.geometry import SE3
 from rtgs.records.capture import NO_POINTS, Capture, SparsePoints
 from rtgs.records.scene import Scene
-from rtgs.sfm.colmap_job import ColmapJob, matched_pairs
+from rtgs.sfm.colmap_job import Task, matched_pairs
+from rtgs.sfm.colmap_process import do_apart
 
 
 def run_sfm(
@@ -51,12 +48,11 @@ def run_sfm(
     report = progress or (lambda done, total, stage: None)
     if capture.poses is not None and capture.poses.points is not None and len(capture.poses.points) > 0:
         return _scene_from_poses(capture, capture.poses.world_from_rgb, capture.poses.points).recentred()
-    with quiet_colmap():
-        if work_dir is not None:
-            work_dir.mkdir(parents=True, exist_ok=True)
-            return _run_colmap(capture, config, work_dir, report)
-        with tempfile.TemporaryDirectory(prefix="rtgs-sfm-") as folder:
-            return _run_colmap(capture, config, Path(folder), report)
+    if work_dir is not None:
+        work_dir.mkdir(parents=True, exist_ok=True)
+        return _run_colmap(capture, config, work_dir, report)
+    with tempfile.TemporaryDirectory(prefix="rtgs-sfm-") as folder:
+        return _run_colmap(capture, config, Path(folder), report)
 
 
 def _scene_from_poses(capture: Capture, world_from_rgb: Mapping[str, SE3], points: SparsePoints) -> Scene:
@@ -69,48 +65,35 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
     if capture.poses is not None:
         names = [name for name in names if name in capture.poses.world_from_rgb]
     _check_space(work_dir, len(names), config)
-    job = ColmapJob(capture, config, work_dir, report, *_upright_files(capture, names, work_dir))
-    pycolmap.set_random_seed(config.seed)
-    job.find_features()
-    job.match()
     poses = capture.poses
-    if poses is None:
-        return job.map().recentred()
     # Points are triangulated in the world: far from the origin, COLMAP's float64 runs short of digits too.
-    scene = _scene_from_poses(capture, poses.world_from_rgb, NO_POINTS).recentred()
-    points = job.triangulate(scene.steady().world_from_rgb)
-    if len(points) == 0:
+    posed = None if poses is None else _scene_from_poses(capture, poses.world_from_rgb, NO_POINTS).recentred()
+    given = None if posed is None else posed.steady().world_from_rgb
+    files = _upright_files(capture, names, work_dir)
+    found = do_apart(Task(capture.root, capture.raw_rig.rgb, config, work_dir, *files, given), report)
+    if posed is None:
+        return Scene(capture, found.world_from_rgb, found.points, found.failures).recentred()
+    if len(found.points) == 0:
         said = (
             "No point could be triangulated from the poses that came with the capture; the RGB model starts from random points."
         )
         capture = replace(capture, warnings=(*capture.warnings, said))
-    return replace(scene, capture=capture, points=points)
+    return replace(posed, capture=capture, points=found.points)
 
 
 def _check_space(work_dir: Path, frames: int, config: SfmConfig) -> None:
-    """Refuse where COLMAP's database may not fit: COLMAP aborts the process when it cannot write to it.
+    """Refuse where COLMAP's database may not fit, before any work.
 
     An image has at most `max_features` features of 128 + 24 bytes. A pair is taken to match a quarter of them, before and after
     geometric verification, with 8 bytes each. SQLite keeps changes in a second file of up to the same size.
     """
     pairs = matched_pairs(frames, config)
     needed = 2 * (frames * config.max_features * 152 + pairs * config.max_features * 4) + (1 << 20)
-    free, limit = shutil.disk_usage(work_dir).free, _file_size_limit()
-    if min(free, limit) < needed:
-        said = f"{free / 1e6:,.0f} MB are free" if free < limit else f"a file of this process may have {limit / 1e6:,.0f} MB"
+    if room(work_dir) < needed:
         raise RtgsError(
-            f"{work_dir}: structure from motion may need {needed / 1e6:,.0f} MB there, and {said}. Make room, choose another place for "
-            "the run, or lower --sfm.max-features."
+            f"{work_dir}: structure from motion may need {needed / 1e6:,.0f} MB there. {room_in(work_dir)}. Make room, choose another "
+            "place for the run, or lower --sfm.max-features."
         )
-
-
-def _file_size_limit() -> float:
-    try:
-        import resource
-    except ImportError:  # Windows
-        return math.inf
-    soft = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    return math.inf if soft == resource.RLIM_INFINITY else soft
 
 
 def _upright_files(capture: Capture, names: Iterable[str], work_dir: Path) -> tuple[Path, dict[str, str]]:
