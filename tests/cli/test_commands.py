@@ -28,6 +28,7 @@ ARGUMENTS = {
     "thermal": ["--steps", "--sh-degree", "--ssim-weight"],
     "eval": ["the run folder"],
     "render": ["--out", "--frames", "--viewpoint"],
+    "spots": ["--out", "--excess", "--above", "--below", "--percentile", "--reference", "--fewest-views"],
     "export": ["--out", "--metres"],
     "import": ["{flir,dji", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],
@@ -146,9 +147,9 @@ def test_a_capture_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "rig.json" in errors(capsys)
 
 
-@pytest.mark.parametrize("command", ["rgb", "scale", "thermal", "eval", "render", "export"])
+@pytest.mark.parametrize("command", ["rgb", "scale", "thermal", "eval", "render", "spots", "export"])
 def test_a_run_that_is_none(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = ["--out", str(tmp_path / "out")] if command in ("render", "export") else []
+    out = ["--out", str(tmp_path / "out")] if command in ("render", "spots", "export") else []
     assert code_of([command, str(tmp_path), *out]) == 2
     assert "not a run folder" in errors(capsys) and list(tmp_path.iterdir()) == []
 

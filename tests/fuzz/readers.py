@@ -223,7 +223,7 @@ _VALUES = (
     *_words("-1 0 1 2.5 nan inf 1e400 1e-320 None True -- - {} [1] 1,2 %s $HOME"),
     *("", " ", "9" * 400, "x" * 5000, "ä", "\udcff", "a\nb"),
 )
-_COMMANDS = _words("run sfm rgb scale thermal eval render export import synth experiment demo x --version --help")
+_COMMANDS = _words("run sfm rgb scale thermal eval render spots export import synth experiment demo x --version --help")
 
 
 def _make_arguments(rng: Random, root: Path) -> None:
@@ -236,6 +236,7 @@ def _make_arguments(rng: Random, root: Path) -> None:
         "sfm": ["capture", "--out", "run"],
         "import": ["flir", "capture", "--out", "new"],
         "render": ["run", "--out", "new"],
+        "spots": ["run", "--out", "new"],
         "export": ["run", "--out", "new"],
         "synth": ["--out", "new"],
         "demo": ["--out", "new"],

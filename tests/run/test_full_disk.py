@@ -51,7 +51,7 @@ def test_structure_from_motion_without_room(capture: Path, tmp_path: Path, capsy
 def test_exports_and_views_are_whole_or_absent(
     finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], limit: int
 ) -> None:
-    for arguments in (["export"], ["render", "--frames", HELD_OUT[0]]):
+    for arguments in (["export"], ["spots"], ["render", "--frames", HELD_OUT[0]]):
         whole, out = tmp_path / f"{arguments[0]} whole", tmp_path / arguments[0]
         command = [arguments[0], str(finished), *arguments[1:], "--out"]
         with no_file_above(limit):

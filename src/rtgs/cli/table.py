@@ -10,9 +10,9 @@ from rtgs.base.events import Listener
 from rtgs.cli.commands.convert import import_photographs, make_synthetic
 from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.experiment import experiment, real, synthetic
-from rtgs.cli.commands.results import export_models, render_images
+from rtgs.cli.commands.results import export_models, render_images, spots
 from rtgs.cli.commands.run import rgb, run, scale, score, sfm, thermal
-from rtgs.config import RealExperimentConfig, RunConfig, SynthConfig, SyntheticExperimentConfig
+from rtgs.config import RealExperimentConfig, RunConfig, SpotsConfig, SynthConfig, SyntheticExperimentConfig
 
 Commands: TypeAlias = dict[str, Callable[..., Any]]
 
@@ -32,6 +32,7 @@ def all_commands(saved: RunConfig, listener: Listener) -> Commands:
         "thermal": partial(thermal, config=saved.thermal),
         "eval": score,
         "render": render_images,
+        "spots": partial(spots, config=SpotsConfig()),
         "export": export_models,
         "import": import_photographs,
         "synth": partial(make_synthetic, config=SynthConfig()),

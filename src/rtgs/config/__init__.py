@@ -14,6 +14,7 @@ from rtgs.config.rgb import QUALITIES, Backend, DensifyConfig, Quality, RgbConfi
 from rtgs.config.run import RunConfig
 from rtgs.config.scale import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, REFINABLE, ScaleConfig
 from rtgs.config.sfm import SfmConfig
+from rtgs.config.spots import SpotsConfig
 from rtgs.config.synthetic import FEATURES, SCENES, SceneName, SynthConfig
 from rtgs.config.thermal import DriftKind, DriftSetting, ThermalConfig
 
@@ -37,6 +38,7 @@ __all__ = [
     "ScaleConfig",
     "SceneName",
     "SfmConfig",
+    "SpotsConfig",
     "SynthConfig",
     "SyntheticExperimentConfig",
     "SyntheticTable",

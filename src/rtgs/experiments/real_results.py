@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.csv_files import write_csv
 from rtgs.base.progress import Progress
-from rtgs.experiments.csv_files import write_csv
 from rtgs.experiments.provenance import Page, Provenance
 from rtgs.experiments.real_rows import Row
 from rtgs.experiments.real_scores import COLUMNS, Scored, common_mask

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rtgs.base.csv_files import write_records_csv
 from rtgs.config import SyntheticExperimentConfig
 from rtgs.experiments.ablation import ABLATION
-from rtgs.experiments.csv_files import write_records_csv
 from rtgs.experiments.figures import draw_errors
 from rtgs.experiments.methods import METHODS, MI_WITHOUT_REPLAY
 from rtgs.experiments.provenance import Page, Provenance, command_line

@@ -1,12 +1,15 @@
-"""`rtgs render` and `rtgs export`: what leaves a run."""
+"""`rtgs render`, `rtgs spots` and `rtgs export`: what leaves a run."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from rtgs.base.events import ResultLine, WarningLine, long_work
-from rtgs.cli.options import Folder, Hidden
+from rtgs.cli.options import Flat, Folder, Hidden
+from rtgs.config import SpotsConfig
+
+_SHOWN = 20  # spots in the terminal; the files have all
 
 
 def render_images(
@@ -45,6 +48,26 @@ def render_images(
             progress=progress,
         )
     listener(ResultLine(f"views: {out}"))
+
+
+def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener: Hidden) -> None:
+    """List the hot and cold spots of a run: where they are, how large, how hot, and what the photographs show there.
+
+    Args:
+        run: the run folder.
+        out: folder for spots.csv and spots.json.
+        config: what counts as a spot.
+    """
+    from rtgs.run.folder import RunFolder
+    from rtgs.run.spots import list_spots, spot_line
+
+    folder = RunFolder(run)
+    scene = folder.load_scene(listener)
+    with long_work(listener, "spots", "views") as progress:
+        found = list_spots(folder, scene, out, config, progress=progress)
+    listener(ResultLine(f"spots: {len(found.spots)}, {found.criterion}, in {out}"))
+    for number, spot in enumerate(found.spots[:_SHOWN], start=1):
+        listener(ResultLine("  " + spot_line(number, spot, found.unit)))
 
 
 def export_models(run: Folder, out: Path, listener: Hidden, metres: bool = False) -> None:

@@ -1,0 +1,75 @@
+"""Hot and cold spots of a thermal model: the list that an inspector wants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from rtgs.records.radiometry import Unit
+
+
+@dataclass(frozen=True)
+class Spot:
+    """One spot. Temperatures are in the list's unit, lengths in metres.
+
+    Each value is the median over the training views that show the spot.
+
+    Attributes:
+        kind: "hot" or "cold".
+        position_m: centre, in SfM's world, divided by its SfM units per metre.
+        area_m2: of the surface where at least half of the excess is; of what is beyond the threshold, where there is one.
+        extreme: the model's highest (lowest) temperature. mean: over the area. surroundings: of the surface around.
+        std: standard error of `extreme`, from its scatter over the views; None for a single view.
+        views: how many training views show it.
+        best_frames: up to three frames that show it largest.
+        photographed: the highest (lowest) temperature there in the photographs; None where none has a valid pixel there.
+        photographed_std: its standard error.
+    """
+
+    kind: Literal["hot", "cold"]
+    position_m: tuple[float, float, float]
+    area_m2: float
+    extreme: float
+    mean: float
+    surroundings: float
+    std: float | None
+    views: int
+    best_frames: tuple[str, ...]
+    photographed: float | None
+    photographed_std: float | None
+
+    JSON_PROPERTIES: ClassVar = ("excess", "diameter_m", "model_differs")
+
+    @property
+    def excess(self) -> float:
+        """`extreme` less `surroundings`."""
+        return self.extreme - self.surroundings
+
+    @property
+    def diameter_m(self) -> float:
+        """Of a disk of that area."""
+        return 2 * math.sqrt(self.area_m2 / math.pi)
+
+    @property
+    def model_differs(self) -> bool:
+        """Whether model and photographs differ by more than twice the standard error of their difference."""
+        if self.photographed is None or self.std is None or self.photographed_std is None:
+            return False
+        return abs(self.photographed - self.extreme) > 2 * math.hypot(self.std, self.photographed_std)
+
+
+@dataclass(frozen=True)
+class SpotList:
+    """The spots of a model, the strongest first.
+
+    Attributes:
+        unit: of temperatures.
+        criterion: what counts as a spot, in words.
+        reference: a temperature to which differences are given; None where none was named.
+    """
+
+    spots: tuple[Spot, ...]
+    unit: Unit
+    criterion: str
+    reference: float | None = None

@@ -1,0 +1,64 @@
+"""Lists the hot and cold spots of a run: `spots.csv` and `spots.json`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rtgs.base.csv_files import write_csv
+from rtgs.base.json_records import write_json
+from rtgs.base.progress import Progress
+from rtgs.config import SpotsConfig
+from rtgs.records.scene import Scene
+from rtgs.records.spots import Spot, SpotList
+from rtgs.run.folder import RunFolder, refuse_own_folders
+from rtgs.thermal.spots import find_spots
+
+COLUMNS = (
+    *("number", "kind", "x_m", "y_m", "z_m", "area_m2", "diameter_m", "extreme", "mean", "surroundings", "excess", "std"),
+    *("off_reference", "views", "photographed", "photographed_std", "model_differs", "best_frames"),
+)
+
+
+def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, *, progress: Progress | None = None) -> SpotList:
+    """Find the spots of the run's thermal model and write them to the folder `out`.
+
+    Raises:
+        RtgsError: `out` is the run or lies in the capture, or the thermal model is missing.
+    """
+    refuse_own_folders(folder, scene, out)
+    found = find_spots(scene, folder.read_thermal(), config, progress=progress)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "spots.json", found)
+    write_csv(out / "spots.csv", COLUMNS, [row_of(i + 1, spot, found.reference) for i, spot in enumerate(found.spots)])
+    return found
+
+
+def spot_line(number: int, spot: Spot, unit: str) -> str:
+    """A spot in a line of text."""
+    x, y, z = spot.position_m
+    line = f"{number}: {spot.kind}, {spot.extreme:.1f} {unit} ({spot.excess:+.1f}) at {x:.3f} {y:.3f} {z:.3f} m"
+    line += f", {1e4 * spot.area_m2:.3g} cm², {spot.views} views, best {spot.best_frames[0]}"
+    if spot.model_differs:
+        line += f"; photographs show {spot.photographed:.1f} {unit}"
+    return line
+
+
+def row_of(number: int, spot: Spot, reference: float | None) -> list[str]:
+    """The cells of a spot, one for each of `COLUMNS`."""
+
+    def text(value: float | None) -> str:
+        return "" if value is None else f"{value:.6g}"
+
+    off = None if reference is None else spot.extreme - reference
+    return [
+        str(number),
+        spot.kind,
+        *(f"{v:.4f}" for v in spot.position_m),
+        *(text(v) for v in (spot.area_m2, spot.diameter_m, spot.extreme, spot.mean, spot.surroundings, spot.excess, spot.std)),
+        text(off),
+        str(spot.views),
+        text(spot.photographed),
+        text(spot.photographed_std),
+        "yes" if spot.model_differs else "no",
+        " ".join(spot.best_frames),
+    ]

@@ -1,0 +1,200 @@
+"""The hot and cold spots of a thermal model: found in its renders from the training views, and joined where they lie on the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from rtgs.base.progress import Progress
+from rtgs.config import SpotsConfig
+from rtgs.models import ThermalModel
+from rtgs.records.capture import Frame
+from rtgs.records.scene import Scene
+from rtgs.records.spots import Spot, SpotList
+from rtgs.renderer import render
+from rtgs.thermal.spot_regions import Region, regions_by_excess, regions_by_threshold
+
+SOLID = 0.5  # opacity from which a pixel shows a surface
+NEAR_PX = 2.0  # views agree about a place to so many pixels
+_STEEPEST = 0.2  # cosine: a region that is seen more slantingly gets the area of this slant
+_BEST = 3
+_PLANE_PX = 3  # pixels around a region that its plane is fitted to, as well
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A spot as one view shows it, in the scene's world.
+
+    Attributes:
+        sign: 1 hot, −1 cold.
+        pixel: width of a pixel at its distance. pixels: how many it has.
+        extreme, mean, surroundings, photographed: temperatures, as in `Spot`.
+    """
+
+    frame: str
+    sign: int
+    centre: Floats
+    area: float
+    pixel: float
+    pixels: int
+    extreme: float
+    mean: float
+    surroundings: float
+    photographed: float
+
+
+def find_spots(
+    scene: Scene, model: ThermalModel, config: SpotsConfig | None = None, *, progress: Progress | None = None
+) -> SpotList:
+    """List the spots of a model.
+
+    A spot is found in the renders of the training views, and there compared with the photographs. Sightings of several views at one place
+    of the surface are one spot. Places that few views show are left out.
+
+    Args:
+        config: what counts as a spot; None: the defaults.
+        progress: called with (views done, views in all, the frame's name).
+
+    Raises:
+        RtgsError: no training frame.
+    """
+    config = config or SpotsConfig()
+    thresholds, criterion = _thresholds(scene, model, config)
+    sightings = []
+    for done, frame in enumerate(scene.train_frames):
+        sightings += list(_in_view(scene, model, frame, config, thresholds))
+        if progress is not None:
+            progress(done + 1, len(scene.train_frames), frame.name)
+    groups = [g for sign in (1, -1) for g in joined([s for s in sightings if s.sign == sign])]
+    spots = [_spot(g, scene, model.sfm_per_metre) for g in groups if len({s.frame for s in g}) >= config.fewest_views]
+    spots.sort(key=lambda s: -abs(s.excess))
+    return SpotList(tuple(spots[: config.most]), model.unit, criterion, config.reference)
+
+
+def joined(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
+    """Sightings in groups that lie together: nearer than the radius of the larger one, or than two pixels."""
+    if not sightings:
+        return []
+    centres = np.stack([s.centre for s in sightings])
+    reach = np.array([max(np.sqrt(s.area / np.pi), NEAR_PX * s.pixel) for s in sightings])
+    pairs = cKDTree(centres).query_pairs(float(reach.max()), output_type="ndarray")
+    apart = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
+    near = pairs[apart <= np.maximum(reach[pairs[:, 0]], reach[pairs[:, 1]])]
+    graph = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(sightings), len(sightings)))
+    count, labels = connected_components(graph, directed=False)
+    return [[sightings[int(i)] for i in np.flatnonzero(labels == k)] for k in range(count)]
+
+
+def _thresholds(scene: Scene, model: ThermalModel, config: SpotsConfig) -> tuple[dict[int, float] | None, str]:
+    """Sign → temperature beyond which everything counts; None where the excess decides. And the criterion in words."""
+    above, below, unit = config.above, config.below, model.unit
+    if config.percentile is not None:
+        mask = scene.capture.thermal_mask
+        values = np.concatenate([f.thermal[mask][::16] for f in scene.train_frames])
+        low, high = (float(v) for v in np.percentile(values, [100 - config.percentile, config.percentile]))
+        above, below = high if above is None else above, low if below is None else below
+    if above is None and below is None:
+        return None, f"{config.excess:g} {unit} or more off the surface around"
+    found = {sign: value for sign, value in ((1, above), (-1, below)) if value is not None}
+    words = [f"{'above' if sign > 0 else 'below'} {value:.4g} {unit}" for sign, value in found.items()]
+    return found, " or ".join(words)
+
+
+def _in_view(
+    scene: Scene, model: ThermalModel, frame: Frame, config: SpotsConfig, thresholds: dict[int, float] | None
+) -> Iterator[Sighting]:
+    camera, pose = scene.rig.thermal, scene.thermal_from_world(frame.name, model.sfm_per_metre)
+    shown = model.render(camera, pose)
+    photograph = frame.thermal - (model.render(camera, pose, photographed_in=frame.name) - shown)  # without drift and pattern
+    photograph = np.where(scene.capture.thermal_mask, photograph, np.nan)
+    with torch.no_grad():
+        view = render(model.gaussians, camera, pose, settings=replace(model.settings, with_depth=True))
+    assert view.depth is not None
+    alpha = view.alpha.numpy().astype(np.float64)
+    depth = np.where(alpha >= SOLID, view.depth.numpy() / np.maximum(alpha, SOLID), np.nan)
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    local = np.stack([(x - camera.cx) / camera.fl_x, (y - camera.cy) / camera.fl_y, np.ones_like(x)], axis=-1) * depth[..., None]
+    world_from_thermal = pose.inverse()
+    for sign in (1, -1):
+        image = sign * shown.astype(np.float64)
+        if thresholds is None:
+            regions: Sequence[Region] = regions_by_excess(image, depth, config.excess)
+        else:
+            regions = list(regions_by_threshold(image, depth, sign * thresholds[sign])) if sign in thresholds else []
+        for region in regions:
+            measured = _measured(region, frame.name, sign, image, sign * photograph, local, camera.fl_x)
+            yield replace(measured, centre=world_from_thermal.apply(measured.centre))
+
+
+def _measured(region: Region, frame: str, sign: int, image: Floats, photograph: Floats, local: Floats, focal: float) -> Sighting:
+    """A region of one view, in camera axes.
+
+    Args:
+        image, photograph: `[H, W]`, temperatures times the sign.
+        local: `[H, W, 3]`, the surface that each pixel shows.
+    """
+    own = np.zeros(image.shape, bool)
+    own[region.rows, region.columns] = True
+    points = local[own]
+    around = local[binary_dilation(own, iterations=_PLANE_PX)]
+    around = around[np.isfinite(around).all(axis=1)]
+    centred = around - np.median(around, axis=0)
+    normal = np.linalg.svd(centred, full_matrices=False)[2][2]
+    views = points / np.linalg.norm(points, axis=1, keepdims=True)
+    slant = np.maximum(np.abs(views @ normal), _STEEPEST)
+    pixel = points[:, 2] / focal
+    # A pixel's solid angle shrinks towards the image's border by the cube of the cosine to the axis.
+    areas = pixel**2 * views[:, 2] / slant
+    weights = np.maximum(image[own] - region.surroundings, 1e-6)
+    nearby = photograph[binary_dilation(own)]
+    return Sighting(
+        frame,
+        sign,
+        np.asarray((weights[:, None] * points).sum(0) / weights.sum()),
+        float(areas.mean()) * region.area_px,
+        float(np.median(pixel)),
+        len(points),
+        sign * float(image[own].max()),
+        sign * float(image[own].mean()),
+        sign * region.surroundings,
+        sign * float(np.nanmax(nearby)) if np.isfinite(nearby).any() else float("nan"),
+    )
+
+
+def _spot(group: Sequence[Sighting], scene: Scene, sfm_per_metre: float) -> Spot:
+    """One spot from its sightings: medians, and standard errors from their scatter."""
+
+    def median(name: str) -> float:
+        return float(np.nanmedian([getattr(s, name) for s in group]))
+
+    def error(name: str) -> float | None:
+        values = np.array([getattr(s, name) for s in group])
+        values = values[np.isfinite(values)]
+        return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
+
+    best = sorted(group, key=lambda s: -s.pixels)
+    centre = np.median([s.centre for s in group], axis=0)
+    x, y, z = (float(v) / sfm_per_metre for v in scene.given_from_world.apply(centre))
+    return Spot(
+        kind="hot" if group[0].sign > 0 else "cold",
+        position_m=(x, y, z),
+        area_m2=median("area") / float(scene.world_per_metre(sfm_per_metre)) ** 2,
+        extreme=median("extreme"),
+        mean=median("mean"),
+        surroundings=median("surroundings"),
+        std=error("extreme"),
+        views=len({s.frame for s in group}),
+        best_frames=tuple(dict.fromkeys(s.frame for s in best))[:_BEST],
+        photographed=median("photographed") if any(np.isfinite(s.photographed) for s in group) else None,
+        photographed_std=error("photographed"),
+    )

@@ -1,0 +1,135 @@
+"""The list of spots: where they are, how large, how hot, and what the photographs say of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from tests.helpers.scene_record import altered, scene_of
+
+from rtgs.config import SpotsConfig
+from rtgs.maths.geometry import SE3, look_at
+from rtgs.maths.sh import C0
+from rtgs.models import ThermalModel
+from rtgs.records.camera import Camera
+from rtgs.records.gaussians import Gaussians
+from rtgs.records.radiometry import CELSIUS, LinearRange
+from rtgs.records.rig import Rig
+from rtgs.records.scene import Scene
+from rtgs.renderer import RenderSettings
+from rtgs.thermal.spots import Sighting, find_spots, joined
+
+CAMERA = Camera("PINHOLE", 96, 80, 110.0, 110.0, 48.0, 40.0)
+RIG = Rig(CAMERA, CAMERA, SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
+SFM_PER_METRE = 2.5
+SPOTS = [((0.25, 0.10), 12.0, 0.12), ((-0.30, -0.15), -8.0, 0.16)]  # metres on the wall, °C, FWHM in metres
+SPAN = LinearRange(0.0, 50.0)
+
+
+def wall(spots: list[tuple[tuple[float, float], float, float]]) -> ThermalModel:
+    """A wall across z = 0, 1.6 m × 1.2 m, of 20 °C with spots."""
+    x, y = torch.meshgrid(torch.arange(-0.8, 0.8, 0.02), torch.arange(-0.6, 0.6, 0.02), indexing="ij")
+    x, y = x.ravel(), y.ravel()
+    celsius = torch.full_like(x, 20.0)
+    for (a, b), height, fwhm in spots:
+        celsius += height * torch.exp(-4 * math.log(2) * ((x - a) ** 2 + (y - b) ** 2) / fwhm**2)
+    n = len(x)
+    return ThermalModel(
+        gaussians=Gaussians(
+            SFM_PER_METRE * torch.stack([x, y, torch.zeros(n)], dim=1),
+            torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+            torch.log(SFM_PER_METRE * torch.tensor([0.013, 0.013, 0.001])).repeat(n, 1),
+            torch.full((n,), 3.0),
+            ((celsius / 50 - 0.5) / C0)[:, None, None],
+        ),
+        background=torch.tensor([0.4]),
+        unit="°C",
+        range=SPAN,
+        color_range=SPAN,
+        settings=RenderSettings(near_plane=0.05),
+        sfm_per_metre=SFM_PER_METRE,
+    )
+
+
+def photographed(model: ThermalModel) -> Scene:
+    """Twelve views of the wall from 1.4 m, slantingly too, whose photographs are the model's renders."""
+    eyes = [SFM_PER_METRE * np.array([math.cos(0.6 * k), 0.7 * math.sin(1.1 * k), -1.4]) for k in range(12)]
+    scene = scene_of(RIG, [look_at(eye, [0, 0, 0]) for eye in eyes], radiometry=CELSIUS)
+    images = {f.name: model.render(CAMERA, scene.thermal_from_world(f.name, SFM_PER_METRE)) for f in scene.frames}
+    return altered(scene, thermal=images)
+
+
+@pytest.fixture(scope="module")
+def known() -> tuple[Scene, ThermalModel]:
+    model = wall(SPOTS)
+    return photographed(model), model
+
+
+@pytest.mark.thorough
+def test_position_area_and_temperature_of_known_spots(known: tuple[Scene, ThermalModel]) -> None:
+    scene, model = known
+    found = find_spots(scene, model)
+    assert [spot.kind for spot in found.spots] == ["hot", "cold"] and found.unit == "°C"
+    for spot, ((a, b), height, fwhm) in zip(found.spots, SPOTS, strict=True):
+        np.testing.assert_allclose(spot.position_m, [a, b, 0.0], atol=0.01)
+        assert spot.area_m2 == pytest.approx(math.pi * fwhm**2 / 4, rel=0.3)
+        assert spot.extreme == pytest.approx(20 + height, abs=1.0) and spot.surroundings == pytest.approx(20, abs=1.0)
+        assert spot.views >= 8 and spot.best_frames[0] in {f.name for f in scene.train_frames}
+        assert spot.photographed == pytest.approx(spot.extreme, abs=1e-3) and not spot.model_differs
+
+
+@pytest.mark.thorough
+def test_a_wall_without_spots_has_none() -> None:
+    model = wall([])
+    assert find_spots(photographed(model), model).spots == ()
+
+
+@pytest.mark.thorough
+def test_photographs_that_are_hotter_than_the_model_are_told(known: tuple[Scene, ThermalModel]) -> None:
+    scene, _ = known
+    weak = wall([(at, 0.5 * height, fwhm) for at, height, fwhm in SPOTS])
+    found = find_spots(scene, weak)
+    assert len(found.spots) == 2 and all(spot.model_differs for spot in found.spots)
+    hot = found.spots[0]
+    assert hot.photographed is not None and hot.photographed - hot.extreme == pytest.approx(6.0, abs=0.7)
+
+
+@pytest.mark.thorough
+def test_the_criterion_decides(known: tuple[Scene, ThermalModel]) -> None:
+    scene, model = known
+    assert [s.kind for s in find_spots(scene, model, SpotsConfig(excess=10.0)).spots] == ["hot"]
+    assert [s.kind for s in find_spots(scene, model, SpotsConfig(below=16.0)).spots] == ["cold"]
+    both = find_spots(scene, model, SpotsConfig(above=26.0, below=16.0, reference=18.0))
+    assert [s.kind for s in both.spots] == ["hot", "cold"] and both.reference == 18.0
+    assert both.spots[0].area_m2 == pytest.approx(math.pi * 0.12**2 / 4, rel=0.3)  # 26 °C is half of its excess
+    assert find_spots(scene, model, SpotsConfig(fewest_views=12)).spots == ()
+
+
+@pytest.mark.thorough
+def test_positions_are_in_the_given_frame_at_any_origin(known: tuple[Scene, ThermalModel]) -> None:
+    """Far from the origin the world is another one; the list is not."""
+    from rtgs.maths.geometry import Sim3
+
+    scene, model = known
+    given = Sim3(1.0, np.eye(3), np.array([5e5, 4e6, 100.0]))
+    moved = find_spots(replace(scene, given_from_world=given), model).spots
+    for spot, there in zip(find_spots(scene, model).spots, moved, strict=True):
+        np.testing.assert_allclose(np.array(there.position_m) - spot.position_m, given.translation / SFM_PER_METRE, atol=1e-6)
+        assert there.area_m2 == pytest.approx(spot.area_m2)
+
+
+def sighting(frame: str, at: float, area: float = 0.01) -> Sighting:
+    centre: NDArray[np.float64] = np.array([at, 0.0, 0.0])
+    return Sighting(frame, 1, centre, area, 0.005, 12, 30.0, 28.0, 20.0, 30.5)
+
+
+def test_sightings_are_joined_where_they_lie_together() -> None:
+    groups = joined([sighting("a", 0.0), sighting("b", 0.04), sighting("c", 0.5), sighting("d", 0.07)])
+    assert sorted(sorted(s.frame for s in g) for g in groups) == [["a", "b", "d"], ["c"]]
+    small = joined([sighting("a", 0.0, 1e-6), sighting("b", 0.009, 1e-6), sighting("c", 0.03, 1e-6)])
+    assert sorted(len(g) for g in small) == [1, 2]
+    assert joined([]) == []
