@@ -123,7 +123,7 @@ def rig() -> None:
 
 def scale_verdict() -> None:
     """From the search to the status."""
-    d = Diagram(474, 865, "Flow chart: how the scale's status is decided")
+    d = Diagram(474, 965, "Flow chart: how the scale's status is decided")
     x, w, answer = 155, 290, 398
     d.box(x, 40, w, 56, ["Bracket: image motion between", "½ pixel and half the image"])
     d.box(x, 132, w, 56, ["Coarse scan of the bracket,", "all likely minima kept"])
@@ -136,19 +136,20 @@ def scale_verdict() -> None:
         ["Answer outside the bracket?"],
         ["No better than no baseline", "(3 standard errors)?"],
         ["Loss flat, or half interval", "above 0.5 in ln s?"],
+        ["Over a third of the frames", "place the scale elsewhere?"],
         ["Another minimum better in", "over 2.5 % of resamples?"],
     ]
     for i, lines in enumerate(questions):
         y = 318 + i * 100
         d.question(x, y, w, 62, lines)
-        if i < 3:
-            d.arrow([(x + w / 2, y), (answer, y), (answer, 591)], "yes", (x + w / 2 + 20, y - 12))
+        if i < 4:
+            d.arrow([(x + w / 2, y), (answer, y), (answer, 691)], "yes", (x + w / 2 + 20, y - 12))
         else:
             d.arrow([(x + w / 2, y), (answer - 72, y)], "yes", (x + w / 2 + 12, y - 14))
-        d.arrow([(x, y + 31), (x, y + 67 if i < 4 else 801)], "no", (x - 16, y + 48))
-    d.box(answer, 618, 140, 50, ["unobservable"], POOR, bold=True)
-    d.box(answer, 718, 140, 50, ["ambiguous"], FAIR, bold=True)
-    d.box(x, 828, 140, 50, ["ok"], GOOD, bold=True)
+        d.arrow([(x, y + 31), (x, y + 67 if i < 5 else 901)], "no", (x - 16, y + 48))
+    d.box(answer, 718, 140, 50, ["unobservable"], POOR, bold=True)
+    d.box(answer, 818, 140, 50, ["ambiguous"], FAIR, bold=True)
+    d.box(x, 928, 140, 50, ["ok"], GOOD, bold=True)
     d.write("scale_verdict")
 
 

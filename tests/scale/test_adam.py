@@ -29,7 +29,9 @@ def test_the_truth_is_found_in_any_sfm_unit_without_a_start(unit: float) -> None
     assert estimate.scan is not None and len(estimate.scan.loss) == QUICK.scan_samples
     assert set(estimate.scan.per_frame) == set(estimate.frames)
     assert estimate.std_log is not None and estimate.ci95 is not None
-    assert 0 < estimate.std_log < 0.02 and estimate.ci95[0] <= estimate.sfm_per_metre * 1.005
+    # Noise counts as edges under the paper's ε, and leaves a misfit of 0.08 px in these small pictures with 5 px of flow.
+    assert estimate.misfit_px < 0.1
+    assert 0 < estimate.std_log < 0.025 and estimate.ci95[0] <= estimate.sfm_per_metre * 1.005
     assert len(estimate.history.step) == QUICK.steps and estimate.history.sfm_per_metre[0] == pytest.approx(estimate.init)
 
 

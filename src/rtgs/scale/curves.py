@@ -69,6 +69,12 @@ class LocalCurves:
         grid, curves = self.dense()
         return curve_minimum(grid, curves.mean(axis=0))
 
+    def curvature(self, theta: float) -> float:
+        """d²L/dθ² of the mean curve, from the slopes at the nodes on either side of θ."""
+        k = int(np.clip(np.searchsorted(self.thetas, theta), 1, len(self.thetas) - 1))
+        before, after = self.slopes().mean(axis=0)[k - 1 : k + 1]
+        return float(after - before) / (self.thetas[k] - self.thetas[k - 1])
+
     def scan(self) -> Scan:
         """The losses as a record."""
         return Scan.of(np.array(self.thetas), self.values(), [self.objective.frames[i].name for i in self.frames])

@@ -44,7 +44,7 @@ def estimate_scale(
     check_refinable(scene, problem.frames, config.refine)
     found = SOLVERS[config.solver].solve(problem)
     interval = find_interval(problem, found)
-    verdict = verdict_of(found, interval)
+    verdict = verdict_of(found, interval, refined_later=bool(config.refine))
     if verdict.status == "unobservable" and not found.keeps_interval:
         # Where the images do not decide, a scatter about some place would look like knowledge.
         interval = replace(interval, std_log=None, ci95=None)
@@ -66,7 +66,8 @@ def estimate_scale(
         minima=found.minima,
         disagreeing=found.disagreeing,
         calibration_std_log=interval.calibration_std_log,
-        renders=found.renders,
+        renders=found.renders + interval.misfit.renders,
         blur_px=found.blur_px,
+        misfit_px=interval.misfit.px,
     )
     return refine(problem, estimate) if config.refine else estimate

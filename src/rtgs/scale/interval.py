@@ -7,14 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
+from rtgs.scale.bracket import Bracket
 from rtgs.scale.calibration import calibration_std_log
+from rtgs.scale.misfit import NO_MISFIT, Misfit, misfit
 from rtgs.scale.problem import Found, Problem
 from rtgs.scale.resampling import QUANTILE_95, block_length, curve_minimum, resampled_minima, small_sample_factor
 
 WIDEST = 0.5  # half-width of a 95 % interval in ln s, from which on a number would only mislead
 MODEL_PIXELS = 0.05
 """Edges of a render lie beside those of the photograph, by about this much in many frames alike (`benchmarks/scale_coverage.py`)."""
+
+_MISFIT_WEIGHT = float(stats.t.ppf(0.975, 2) / stats.norm.ppf(0.975))  # 2.2: two directions tell the size of a third
 
 _BLUR_SHARE = 0.1  # of the blur, to which an edge is placed in it where modalities differ (chosen on `--table 2`)
 
@@ -25,11 +30,13 @@ class Interval:
 
     Attributes:
         calibration_std_log: share of `std_log` that is the calibration's; None where the rig states none.
+        misfit: how far the edges miss each other beside the scale.
     """
 
     std_log: float | None
     ci95: tuple[float, float] | None
     calibration_std_log: float | None
+    misfit: Misfit = NO_MISFIT
 
     @property
     def half_width(self) -> float:
@@ -38,14 +45,28 @@ class Interval:
 
 
 def find_interval(problem: Problem, found: Found) -> Interval:
-    """The interval around a solver's answer: the scatter of the frames, and what all frames have alike."""
-    curves = found.curves
+    """The interval around a solver's answer, after measuring what all frames have alike."""
+    curves, progress = found.curves, problem.progress
     calibration = calibration_std_log(curves.objective, found.theta, curves.frames)
-    if len(curves.frames) < 2:
+    missed = NO_MISFIT
+    if len(curves.frames) > 1 and not (found.doubt or problem.config.refine):
+        missed = misfit(problem.scene, problem.model, curves, found.theta, progress)
+    return interval_of(found, problem.bracket, calibration, missed, problem.config.seed)
+
+
+def interval_of(found: Found, bracket: Bracket, calibration: float | None, missed: Misfit, seed: int) -> Interval:
+    """The interval around a solver's answer: the scatter of the frames, and what all frames have alike.
+
+    The latter is what model and calibration are known to be off by, and how much further the edges are seen to miss each other. A misfit
+    tells the size of an unseen error of the same kind from two directions (across the flow, and about the view), as if from a sample of
+    two: Student's quantile takes the normal distribution's place.
+    """
+    if len(found.curves.frames) < 2:
         return Interval(None, None, calibration)
-    model = min(problem.bracket.pixel(found.theta, model_pixels(found.blur_px)), 2 * WIDEST)
-    common = math.hypot(model, calibration or 0.0)
-    return Interval(*resampled_interval(*curves.dense(), found.theta, common, problem.config.seed), calibration)
+    known = math.hypot(model_pixels(found.blur_px), (calibration or 0.0) * bracket.flow_px(found.theta))
+    excess = math.sqrt(max(0.0, missed.px**2 - known**2))
+    common = min(bracket.pixel(found.theta, math.hypot(known, _MISFIT_WEIGHT * excess)), 2 * WIDEST)
+    return Interval(*resampled_interval(*found.curves.dense(), found.theta, common, seed), calibration, missed)
 
 
 def model_pixels(blur_px: float, sharp: float = MODEL_PIXELS) -> float:

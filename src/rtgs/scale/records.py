@@ -169,6 +169,8 @@ class ScaleEstimate:
         calibration_std_log: share of `std_log` that is the calibration's; None when `rig.json` does not state any.
         renders: how many pictures were rendered.
         blur_px: by how much thermal images were found softer than renders: standard deviation of a Gaussian, in thermal pixels.
+        misfit_px: by how many thermal pixels the edges miss each other in a way that a turn of the thermal camera would mend and no scale
+            does; 0 where the calibration is refined, or the answer was in doubt already.
         refinement: the calibration, where it was refined with the scale; `refined_scene` has it.
     """
 
@@ -192,6 +194,7 @@ class ScaleEstimate:
     calibration_std_log: float | None = None
     renders: int = 0
     blur_px: float = 0.0
+    misfit_px: float = 0.0
     refinement: Refinement | None = None
 
     def __post_init__(self) -> None:

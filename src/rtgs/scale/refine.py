@@ -14,7 +14,7 @@ import numpy as np
 from rtgs.base.errors import RtgsError
 from rtgs.records.capture import Frame
 from rtgs.records.scene import Scene
-from rtgs.scale.checks import softness
+from rtgs.scale.checks import disagreeing, softness
 from rtgs.scale.curves import LocalCurves
 from rtgs.scale.interval import WIDEST
 from rtgs.scale.newton import JointSolution, solve_jointly
@@ -23,7 +23,8 @@ from rtgs.scale.records import Refinement, ScaleEstimate
 from rtgs.scale.resampling import QUANTILE_95
 from rtgs.scale.rig_loss import RigLoss
 from rtgs.scale.rig_motion import motions, stated_motions
-from rtgs.scale.thermal_targets import Pictures
+from rtgs.scale.thermal_targets import Pictures, halvings
+from rtgs.scale.verdict import discord_of
 
 _FEWEST = 4  # frames
 _ROUGH_STEP = 0.6  # of a frame interval: a pose that its neighbours' middle misses by more says nothing about the time in between
@@ -55,10 +56,12 @@ def refine(problem: Problem, estimate: ScaleEstimate, *, widest: float = WIDEST)
     freedoms = [m.posterior(u, math.sqrt(v)) for m, u, v in zip(asked, found.x[1:], np.diag(total)[1:], strict=False)]
     refinement = Refinement.of(estimate.sfm_per_metre, freedoms, total, loss.rig(found.x))
 
-    objective = replace(joint.pictures, scene=refinement.apply(problem.scene)).objective()
+    pictures, every = replace(joint.pictures, scene=refinement.apply(problem.scene)), range(len(problem.frames))
+    objective = pictures.objective()
     half_width = float(np.clip(2 * std_log, 0.1 / found.pixels[0], 3 / found.pixels[0]))
     thetas = [theta + half_width * node for node in _NODES]
-    curves = LocalCurves(objective).extended(problem.progress, frames=range(len(problem.frames)), thetas=thetas)
+    curves = LocalCurves(objective).extended(problem.progress, frames=every, thetas=thetas)
+    apart = disagreeing(pictures, halvings(problem.scene), every, theta, problem.bracket, problem.progress)
     refined = replace(
         estimate,
         sfm_per_metre=math.exp(theta),
@@ -68,13 +71,15 @@ def refine(problem: Problem, estimate: ScaleEstimate, *, widest: float = WIDEST)
         local=curves.scan(),
         calibration_std_log=None if rig.calibration_std is None else calibration,
         blur_px=joint.pictures.blur_px,
-        renders=estimate.renders + joint.renders + curves.renders,
+        disagreeing=apart.frames,
+        renders=estimate.renders + joint.renders + curves.renders + apart.renders,
         refinement=refinement,
     )
-    if QUANTILE_95 * std_log <= widest:
-        return refined
-    left_open = f"with the calibration refined, the scale is left open by a factor of {math.exp(QUANTILE_95 * std_log):.2g} to either side."
-    return replace(refined, status="unobservable", reason=left_open, std_log=None, ci95=None)
+    reason = discord_of(len(apart.frames), len(problem.frames))
+    if QUANTILE_95 * std_log > widest:
+        factor = math.exp(QUANTILE_95 * std_log)
+        reason = f"with the calibration refined, the scale is left open by a factor of {factor:.2g} to either side."
+    return replace(refined, status="unobservable", reason=reason, std_log=None, ci95=None) if reason else refined
 
 
 @dataclass(frozen=True, eq=False)

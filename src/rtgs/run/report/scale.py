@@ -40,6 +40,7 @@ def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
         "Frames used": len(scale.frames),
         "Other minima": ", ".join(minima) or None,
         "Blur of the thermal lens": f"{scale.blur_px:.2g} px" if scale.blur_px else None,
+        "Edges miss each other by": f"{scale.misfit_px:.2g} px" if scale.misfit_px else None,
         "Frames that disagree": ", ".join(scale.disagreeing) or None,
     }
 
