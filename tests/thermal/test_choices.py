@@ -82,7 +82,7 @@ class Preferring(Validation):
 
     best, asked = 0, 0
 
-    def errors(self, kind: DriftKind, images: object) -> torch.Tensor:
+    def errors(self, kind: DriftKind, images: object, among: object = None) -> torch.Tensor:
         turn = self.asked % 4
         object.__setattr__(self, "asked", self.asked + 1)
         return torch.tensor([1.0 + (turn != self.best)])

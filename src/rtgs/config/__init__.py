@@ -16,7 +16,7 @@ from rtgs.config.scale import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, REFINABLE, Sca
 from rtgs.config.sfm import SfmConfig
 from rtgs.config.spots import SpotsConfig
 from rtgs.config.synthetic import FEATURES, SCENES, SceneName, SynthConfig
-from rtgs.config.thermal import DriftKind, DriftSetting, ThermalConfig
+from rtgs.config.thermal import DriftKind, DriftSetting, GeometrySetting, ThermalConfig
 
 __all__ = [
     "FEATURES",
@@ -30,6 +30,7 @@ __all__ = [
     "DensifyConfig",
     "DriftKind",
     "DriftSetting",
+    "GeometrySetting",
     "ManualConfig",
     "Quality",
     "RealExperimentConfig",

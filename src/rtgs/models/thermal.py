@@ -1,4 +1,4 @@
-"""The thermal model: the RGB model's geometry with thermal colours, and what is known of each Gaussian's temperature."""
+"""The thermal model: Gaussians with thermal colours, and what is known of each Gaussian's temperature."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class GaussianTemperatures:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ThermalModel:
-    """The RGB model's geometry with thermal colours.
+    """Gaussians with thermal colours: the RGB model's, or finer ones made of these.
 
     Attributes:
         gaussians: C = 1, colours in the units of `color_range`.

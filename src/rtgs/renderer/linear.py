@@ -148,6 +148,11 @@ class LinearViews(Sequence[LinearRender]):
             self._left -= view.nbytes
         return self._kept[index]
 
+    def release(self) -> None:
+        """Give the memory of kept views back. They are made anew at their next use."""
+        self._left += sum(view.nbytes for view in self._kept.values())
+        self._kept.clear()
+
     def is_concurrent(self, index: int) -> bool:
         """Whether `views[index]` is kept and several threads may use it (see `LinearRender.is_concurrent`)."""
         return index in self._kept and self._kept[index].is_concurrent

@@ -1,4 +1,4 @@
-"""Stage: the thermal model. coverage → drift → pattern → gains → ridge → fit on all frames."""
+"""Stage: the thermal model. coverage → drift → pattern → gains → ridge → geometry → fit on all frames."""
 
 from rtgs.thermal.certainty import gaussian_temperatures
 from rtgs.thermal.frames import training_range

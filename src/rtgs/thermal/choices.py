@@ -45,14 +45,14 @@ def choose_drift(validation: Validation, first: FirstSolve, asked: DriftSetting)
     if asked != "auto":
         kind, reason = asked, f"The setting drift = {asked} asks for it."
     elif errors is None or not validation.is_enough:
-        kind, reason = "off", _too_few(validation)
+        kind, reason = "off", too_few(validation)
     elif share < settings.drift_share:
         kind, reason = "off", _explains_little(share, settings)
     elif is_clearly_less(errors[1], errors[0], settings.drift_gain):
         reason = _clearly("Offsets lower", settings.drift_gain)
     else:
         kind, reason = "off", _clearly("Offsets do not clearly lower", settings.drift_gain)
-    return kind, _decision("drift", "off" if kind == "off" else "offset", reason, validation, errors, settings.drift_gain)
+    return kind, measured("drift", "off" if kind == "off" else "offset", reason, validation, errors, settings.drift_gain)
 
 
 def choose_pattern(validation: Validation, first: FirstSolve) -> tuple[bool, Decision]:
@@ -64,14 +64,14 @@ def choose_pattern(validation: Validation, first: FirstSolve) -> tuple[bool, Dec
     """
     fit = validation.fit
     if not validation.is_enough:
-        return False, Decision("pattern", "none", _too_few(validation))
+        return False, Decision("pattern", "none", too_few(validation))
     pattern = fit.pattern("offset", first.offsets.images, validation.others)
     before = validation.without_surface().errors("gain-offset", first.no_surface.images)
     after = Validation(fit.without(pattern), validation.frames).errors("gain-offset", first.offsets.images)
     share = fit.settings.pattern_gain
     found = is_clearly_less(after, before, share)
     reason = _clearly("It lowers" if found else "It does not clearly lower", share)
-    return found, _decision("pattern", "removed" if found else "none", reason, validation, [before, after], share)
+    return found, measured("pattern", "removed" if found else "none", reason, validation, [before, after], share)
 
 
 def choose_gains(
@@ -93,7 +93,7 @@ def choose_gains(
     if asked != "auto":
         return kind, start, Decision("gains", "off", f"The setting drift = {asked} excludes gains.")
     if not validation.is_enough:
-        return kind, start, Decision("gains", "off", _too_few(validation))
+        return kind, start, Decision("gains", "off", too_few(validation))
     share = validation.own_drift_share(kind, start.images)
     if share < settings.drift_share:
         return kind, start, Decision("gains", "off", _explains_little(share, settings))
@@ -101,10 +101,10 @@ def choose_gains(
     errors = [validation.errors(GAINS, model.images) for model in (before, after)]
     if not is_clearly_less(errors[1], errors[0], settings.drift_gain):
         reason = _clearly("Gains do not clearly lower", settings.drift_gain)
-        return kind, start, _decision("gains", "off", reason, validation, errors, settings.drift_gain)
+        return kind, start, measured("gains", "off", reason, validation, errors, settings.drift_gain)
     reason = _clearly("Gains lower", settings.drift_gain)
-    decision = _decision("gains", "on", reason, validation, errors, settings.drift_gain)
-    return GAINS, few_iterations(validation, GAINS, after), decision
+    made = measured("gains", "on", reason, validation, errors, settings.drift_gain)
+    return GAINS, few_iterations(validation, GAINS, after), made
 
 
 def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tuple[float, Fitted, Decision]:
@@ -117,7 +117,7 @@ def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tupl
     """
     settings = validation.fit.settings
     if not validation.frames:
-        return settings.default_factor, start, Decision("ridge", f"{settings.default_factor:g}", _too_few(validation, 1))
+        return settings.default_factor, start, Decision("ridge", f"{settings.default_factor:g}", too_few(validation, 1))
     factors = settings.ridge_factors
     stopping = EarlyStopping(validation, [kind] * len(factors), settings.stop_share_ridge)
     candidates = solve_candidates(validation, factors, kind, start, settings.iterations, stopping)
@@ -126,10 +126,10 @@ def choose_ridge(validation: Validation, kind: DriftKind, start: Fitted) -> tupl
     reason = f"Of the factors {listed}, this one has the smallest error on validation frames, after {candidates.iterations} iterations."
     usual = factors.index(settings.default_factor) if settings.default_factor in factors else best
     errors = [stopping.errors[usual], stopping.errors[best]]
-    return factors[best], candidates.fitted(best), _decision("ridge", f"{factors[best]:g}", reason, validation, errors, None)
+    return factors[best], candidates.fitted(best), measured("ridge", f"{factors[best]:g}", reason, validation, errors, None)
 
 
-def _decision(
+def measured(
     name: str, choice: str, reason: str, validation: Validation, errors: Sequence[Tensor] | None, threshold: float | None
 ) -> Decision:
     """A `Decision` with errors before and after, each Σ over validation frames, in °C or counts."""
@@ -152,6 +152,6 @@ def _clearly(what_happens: str, share: float) -> str:
     return f"{what_happens} the error within validation frames ({required})."
 
 
-def _too_few(validation: Validation, needed: int | None = None) -> str:
+def too_few(validation: Validation, needed: int | None = None) -> str:
     needed = needed or validation.fit.settings.fewest_frames
     return f"There are too few validation frames to decide: {len(validation.frames)} of {needed} that are needed."

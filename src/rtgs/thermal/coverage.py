@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -30,23 +30,34 @@ class Coverage:
 
 
 def measure_coverage(
-    design: Design, data: ThermalFrames, settings: LinearSettings, each: Callable[[], None] = lambda: None
+    design: Design,
+    data: ThermalFrames,
+    settings: LinearSettings,
+    each: Callable[[], None] = lambda: None,
+    frames: Sequence[int] | None = None,
+    unseen: Tensor | None = None,
 ) -> Coverage:
-    """Coverage of all Gaussians, by one pass over the frames. A Gaussian that no pixel sees gets the scene's mean as its prior.
+    """Coverage of all Gaussians, by one pass over the frames.
 
     Args:
+        frames: indices of those that count; None: all.
+        unseen: `[N + 1]`, prior of what no pixel sees; None: the scene's mean.
         each: called after each frame.
     """
     n, k = design.gaussians, design.coefficients
-    scene_mean = sum(float((data.valid * i).sum()) for i in data.images) / (len(data) * float(data.valid.sum()))
+    frames = range(len(data)) if frames is None else frames
+    scene_mean = sum(float((data.valid * data.images[f]).sum()) for f in frames) / (len(frames) * float(data.valid.sum()))
     sums, blocks = torch.zeros(n + 1, 2), torch.zeros(n, k, k)
-    for f in range(len(data)):
+    for f in frames:
         about_mean = torch.stack([data.valid * (data.images[f] - scene_mean), data.valid], dim=-1)
         colors, background = design.weights(f, about_mean)
         sums += torch.cat([colors, background[None]])
         design.add_blocks(f, colors[:, 1].contiguous(), blocks)
         each()
-    means = scene_mean + sums[:, 0] / (sums[:, 1] + settings.ridge_px)
+    if unseen is None:
+        means = scene_mean + sums[:, 0] / (sums[:, 1] + settings.ridge_px)
+    else:
+        means = unseen + (sums[:, 0] + sums[:, 1] * (scene_mean - unseen)) / (sums[:, 1] + settings.ridge_px)
     prior = torch.zeros(design.size)
     design.harmonics(prior)[:, 0] = means[:n] / sh.C0
     prior[-1] = means[n]

@@ -74,6 +74,10 @@ class Design:
         """
         return in_order(work, frames, self._threads, lambda frame: not self._views.is_concurrent(frame))
 
+    def release(self) -> None:
+        """Give the memory of weights back, before another design needs it. What is used again is computed again."""
+        self._views.release()
+
     def harmonics(self, x: Tensor) -> Tensor:
         """`[N, K, …]`: the harmonics among the unknowns `[D, …]`, as a view. The last row of the unknowns is the background."""
         return x[:-1].view(self.gaussians, self.coefficients, *x.shape[1:])

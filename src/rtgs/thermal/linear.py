@@ -1,7 +1,7 @@
 """The plan of the linear thermal fit (`ThermalConfig.solver = "linear"`).
 
-Geometry, opacity and poses are frozen, so a thermal image is affine in the harmonics and the background: fitting them is linear least
-squares. Nothing is added to the colours and nothing is clamped. docs/how-it-works/temperatures.md has the equations.
+Geometry, opacity and poses are frozen while colours are fitted, so a thermal image is affine in the harmonics and the background: fitting
+them is linear least squares. Nothing is added to the colours and nothing is clamped. docs/how-it-works/temperatures.md has the equations.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from rtgs.thermal.drift import in_gauge
 from rtgs.thermal.final import fit_all_frames
 from rtgs.thermal.fit import Fit
 from rtgs.thermal.frames import ThermalFrames, color_range, training_range
+from rtgs.thermal.geometry import Geometry, choose_geometry
 from rtgs.thermal.passes import Passes
 from rtgs.thermal.settings import LinearSettings
 from rtgs.thermal.validation import Validation
@@ -52,11 +53,11 @@ def fit_linear(
         data = photographs.rows(every)
         passes = Passes(len(data) * settings.usual_passes, progress)
         gaussians, camera, degree = rgb_model.gaussians.detach(), scene.rig.thermal, config.sh_degree
-        design = partial(Design, gaussians, camera, poses=data.poses, degree=degree, settings=rgb_model.settings, threads=threads)
+        design = partial(Design, camera=camera, poses=data.poses, degree=degree, settings=rgb_model.settings, threads=threads)
+        kept = partial(design, every=every, kept_bytes=settings.weights_bytes(len(data) * data.valid.numel()))
 
         # What the Gaussians cover.
-        weights_bytes = settings.weights_bytes(len(data) * data.valid.numel())
-        fit = Fit.of(design(every=every, kept_bytes=weights_bytes), data, settings, passes)
+        fit = Fit.of(kept(gaussians), data, settings, passes)
 
         # Drift, pattern, gains and ridge, each decided on validation frames.
         validation = Validation.of(fit, scene.split)
@@ -69,6 +70,14 @@ def fit_linear(
         validation = Validation(clean, validation.frames)
         kind, found, gains = choices.choose_gains(validation, kind, found, config.drift)
         factor, found, ridge = choices.choose_ridge(validation, kind, found)
+        decisions = [rows, drift, pattern, gains, ridge]
+
+        # Finer Gaussians.
+        if config.geometry == "follow":
+            geometry = Geometry(gaussians, camera, every, rgb_model.settings, kept)
+            gaussians, followed, found, decision = choose_geometry(validation, kind, factor, found, geometry)
+            fit, decisions = replace(fit, design=followed.design, coverage=followed.coverage), [*decisions, decision]
+            clean = replace(clean, design=followed.design, coverage=followed.coverage)
 
         # The fit on all frames. The pattern is taken anew, from images that have no part in it any more.
         if has_pattern:
@@ -81,7 +90,7 @@ def fit_linear(
                 pixels = photographs.valid.numel()
                 most = max(settings.memory_bytes // (settings.bytes_per_pixel * pixels), FEWEST_FRAMES)
                 whole = photographs.some(most)
-                fit = replace(fit, design=design(poses=whole.poses, kept_bytes=0), data=whole)
+                fit = replace(fit, design=design(gaussians, poses=whole.poses, kept_bytes=0), data=whole)
                 images = [i[..., 0] for i in fit.images(final.fitted.x)]
             drawn = fit.pattern(kind, images, range(len(fit.data)))
             sensor = SensorModel(pattern=drawn.numpy() * np.float32(span.linear.width))
@@ -93,6 +102,6 @@ def fit_linear(
         x = affine(fit.design, final.fitted.x, gain, fit.median * (1.0 - gain) + offset)
         passes.finish()
         scores = training_range(scene)
-        model = as_model(x, fit.design, rgb_model, unit=data.unit, scores=scores, colors=span, sfm_per_metre=sfm_per_metre)
-        decisions = (rows, drift, pattern, gains, ridge)
-        return replace(model, history=final.history, sensor=sensor, decisions=decisions)
+        shown = replace(rgb_model, gaussians=gaussians)
+        model = as_model(x, fit.design, shown, unit=data.unit, scores=scores, colors=span, sfm_per_metre=sfm_per_metre)
+        return replace(model, history=final.history, sensor=sensor, decisions=tuple(decisions))

@@ -1,4 +1,4 @@
-"""The thermal stage: give the frozen geometry of the RGB model a temperature."""
+"""The thermal stage: give the geometry of the RGB model a temperature."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ def fit_thermal(
     progress: Progress | None = None,
     memory: Memory | None = None,
 ) -> ThermalModel:
-    """Fit thermal colours to the training thermal images, on the frozen geometry of the RGB model.
+    """Fit thermal colours to the training thermal images, on the geometry of the RGB model.
 
-    Means, shapes, opacities and poses stay as they are (the paper's geometry-frozen protocol). The RGB colours are replaced by
-    one-channel spherical harmonics, which are fitted together with one background value.
+    Means, shapes, opacities and poses stay as they are (the paper's geometry-frozen protocol), or Gaussians are split where the thermal
+    images show more (`ThermalConfig.geometry`). The RGB colours are replaced by one-channel spherical harmonics, which are fitted together
+    with one background value.
 
     Args:
         sfm_per_metre: the scale, at which the thermal poses are taken.

@@ -51,12 +51,15 @@ class Validation:
     def without_surface(self) -> Validation:
         return replace(self, surface=None)
 
-    def errors(self, kind: DriftKind, images: Mapping[int, Tensor] | Sequence[Tensor]) -> Tensor:
+    def errors(
+        self, kind: DriftKind, images: Mapping[int, Tensor] | Sequence[Tensor], among: Sequence[Tensor] | None = None
+    ) -> Tensor:
         """`[V]`: Σ over pixels of |photograph − what the frame shows of the image|, with the drift that suits the frame best.
 
         Args:
             kind: what the best drift consists of; "off": no drift is subtracted.
             images: `[h, w]` of at least the validation frames, by index.
+            among: `[h, w]` for each frame of the fit: how much each pixel counts in the sum; None: all alike. The drift is that of all.
         """
         valid = self.fit.data.valid
         photographs, shown = [self.fit.data.images[f] for f in self.frames], [images[f] for f in self.frames]
@@ -67,6 +70,8 @@ class Validation:
         left = torch.stack([y - image for y, image in zip(photographs, shown, strict=True)])
         if self.surface is not None:
             left = left - _best_surface(self.surface, left, valid)
+        if among is not None:
+            left = left * torch.stack([among[f] for f in self.frames])
         return (valid * left.abs()).sum((1, 2))
 
     def own_drift_share(self, kind: DriftKind, images: Sequence[Tensor]) -> float:

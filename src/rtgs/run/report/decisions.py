@@ -17,6 +17,7 @@ _TITLES = {
     "pattern": "Pattern of the sensor",
     "gains": "Gain of each frame",
     "ridge": "Regularisation (ridge)",
+    "geometry": "Geometry of the thermal model",
 }
 _COLUMNS = ("Decided about", "Chosen", "Because", "Mean error before → after", "Improvement needed")
 
