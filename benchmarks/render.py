@@ -9,6 +9,10 @@ process's processor time, which other jobs on the machine do not lengthen. Two c
 
 Rivals run in their own processes (`benchmarks/rivals`): `gsplat_torch` in this interpreter (the package's `dev` extra), others where
 `--rival NAME=PYTHON` gives the interpreter that has them. RTGS_PROTOTYPES names a folder with a `torch_rival.py` to be measured beside.
+
+`--only busy` (two to three minutes) measures training and scale on two cores, alone and beside eight niced programs that never rest, in
+turns. `--tbb FOLDER` names a folder with `libtbb.so.12` (for example `lib` of a virtual environment with the package `tbb`); the same is
+then measured where a system has it. Other work on the machine makes "alone" slower, and the ratio too good.
 """
 
 from __future__ import annotations
@@ -342,6 +346,43 @@ def timed_stages() -> Iterator[dict[str, float]]:
         yield spent
 
 
+def measure_pace(gaussians: int, seconds: float) -> Numbers:
+    """Training steps and evaluations of the scale (a gray picture and its tangent) a second, and the threading layer."""
+    from rtgs.maths.adam import Adam
+
+    model, (camera, pose) = random_cloud(gaussians), view(400)
+    optimiser, weights = Adam(model.tensors(), dict.fromkeys(ALL_FIELDS, 0.0)), loss_weights(400, 400)
+
+    def step() -> None:
+        (render(Gaussians(**optimiser.parameters), camera, pose).color * weights).sum().backward()
+        optimiser.step()
+
+    found: Numbers = {}
+    scale = partial(render_with_tangents, model, camera, pose, [Direction(translation=(1.0, 0.0, 0.0))], settings=GRAY)
+    for name, call in (("training", step), ("scale", scale)):
+        call()
+        count, start = 0, time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            call()
+            count += 1
+        found[name] = count / (time.perf_counter() - start)
+    return found | {"layer": numba.threading_layer()}
+
+
+@contextmanager
+def busy_machine(programs: int = 8, cores: int = 2) -> Iterator[None]:
+    """So many niced programs that never rest, on the cores that `run_apart` uses."""
+    where = sorted(os.sched_getaffinity(0))[:cores]
+    loop = f"import os; os.sched_setaffinity(0, {where}); os.nice(10)\nwhile True: pass"
+    running = [subprocess.Popen([sys.executable, "-c", loop]) for _ in range(programs)]
+    try:
+        yield
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
 # --- rivals ----------------------------------------------------------------------------------------
 
 
@@ -600,6 +641,30 @@ def section_threads(o: argparse.Namespace) -> list[Line]:
     ]
 
 
+def section_busy(o: argparse.Namespace) -> list[Line]:
+    if not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2:
+        print("\nBusy machine: needs Linux and two cores.")
+        return []
+    surroundings = {"as it is": {}} | ({"TBB installed": {"LD_LIBRARY_PATH": str(o.tbb)}} if o.tbb else {})
+    samples: dict[tuple[str, bool], list[Numbers]] = {}
+    for turn in range(4):  # the first may compile, and is not counted
+        for name, environment in surroundings.items():
+            for busy in (False, True):
+                with busy_machine() if busy else ExitStack():
+                    found = run_apart(measure_pace, threads=2, environment=environment, gaussians=15_000, seconds=2.0)
+                if turn:
+                    samples.setdefault((name, busy), []).append(found)
+    rows, lines = [], []
+    for name in surroundings:
+        layer = samples[name, False][0]["layer"]
+        for what in ("training", "scale"):
+            alone, beside = (statistics.median(f[what] for f in samples[name, busy]) for busy in (False, True))
+            rows.append([f"{what}, {name} ({layer})", alone, beside, f"{beside / alone:.2f}"])
+            lines.append(at_least(f"busy machine, {what}, {name}: of the speed alone", 0.33, beside / alone))
+    print_table("Beside eight niced programs on two cores, 15,000 Gaussians, 400²", ["a second", "alone", "busy", "ratio"], rows)
+    return lines
+
+
 def section_growth(o: argparse.Namespace) -> list[Line]:
     counts, sizes = [25_000, 50_000, 100_000, 200_000, 400_000], [200, 400, 800, 1600]
     ms = run_apart(measure_growth, counts=counts, sizes=sizes, gaussians=o.gaussians, repeats=o.repeats)
@@ -693,6 +758,7 @@ def main() -> None:
     parser.add_argument(
         "--rival", action="append", metavar="NAME=PYTHON", help="a rival of benchmarks/rivals and its interpreter"
     )
+    parser.add_argument("--tbb", type=Path, metavar="FOLDER", help="a folder with libtbb.so.12, for the section busy")
     parser.add_argument("--gaussians", type=int, default=100_000)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--child", help=argparse.SUPPRESS)

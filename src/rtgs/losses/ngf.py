@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.config import PAPER_EPSILON
@@ -121,6 +122,11 @@ class NgfPyramid:
             changes.append(change)
         jacobian = torch.stack(changes)
         return Products(float(losses[0]), np.array(slopes), (2.0 * jacobian @ jacobian.T).numpy().astype(np.float64))
+
+    def slopes(self, picture: Tensor, tangents: Tensor) -> NDArray[np.float64]:
+        """`[K]`: derivatives of Eq. 7 along tangents `[K, H, W]`."""
+        gradient = torch.func.grad(self)(picture)  # type: ignore[misc]
+        return np.asarray((tangents * gradient).sum((1, 2)).numpy(), dtype=np.float64)
 
     def residuals(self, render: Tensor) -> Tensor:
         """`[M]`: the vector whose squared norm is Eq. 7; what Gauss–Newton works on.

@@ -1,8 +1,9 @@
 """Eq. 7 with its derivatives along tangent pictures, in one fused pass on the CPU.
 
 `rtgs.losses.ngf.NgfPyramid` is the specification. These Numba kernels (float32, sums over rows in float64) are tested against it. A
-scale is found by thousands of evaluations of the loss along *one* direction, so the gradient by the picture is never formed: the Sobel
-filters run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once.
+scale is found by thousands of evaluations of the loss along *one* direction. There the gradient by the picture is not formed: the Sobel
+filters run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once. For
+slopes alone along many directions (`ngf_gradient`) the gradient is formed.
 
 **Letters.** g = ∇A, h = ∇Ȧ, q = 1/(‖g‖² + ε²), n = g·√q, m = n_B. With p = g·h: ṅ = √q·(h − g·p·q). The residual pair of
 `NgfPyramid.residuals` is c = n × m and e = √(1 − ‖n‖²‖m‖²), and with u = 1 − ‖n‖² = ε²·q and v = 1 − ‖m‖², without cancellation,
@@ -24,6 +25,7 @@ from torch import Tensor
 from rtgs.base.compiled import kernel
 from rtgs.losses.edge_loss import EdgeLoss, Products
 from rtgs.losses.ngf import LEAST_STRENGTH, NgfPyramid
+from rtgs.losses.ngf_gradient import dots, pull, spread
 
 F = np.float32
 _BAND = 16  # rows a thread takes at a time
@@ -73,6 +75,26 @@ class FusedNgf:
             slope += share * (rates - 0.5 * found / square * changes if varies else rates)
             matrix += share * squares
         return Products(float(1.0 - agreement), -2.0 * slope, 2.0 * matrix.reshape(k, k))
+
+    def slopes(self, picture: Tensor, tangents: Tensor) -> NDArray[np.float64]:
+        """`[K]`: derivatives of Eq. 7 of a picture `[H, W]` along tangents `[K, H, W]`, all float32."""
+        images = [picture.numpy()]
+        for _ in self.targets[1:]:
+            images.append(_halved(images[-1][None])[0])
+        gradient = np.zeros((0, 0), np.float32)
+        for level in reversed(range(len(self.targets))):
+            target, numbers = self.targets[level], self._numbers(level)
+            agreement, edges = (np.empty((2, *target.shape[1:]), np.float32) for _ in range(2))
+            sums = pull(images[level], target, *numbers, agreement, edges).sum(axis=0)
+            found, square = sums / self.pixels[level]
+            strength = self._strength(square)
+            factor = -2.0 * self._share(level) / strength / self.pixels[level]
+            varies = self.settings.per_edge and strength > LEAST_STRENGTH
+            agreement *= F(factor)
+            if varies:
+                agreement -= F(0.5 * factor * found / square) * edges
+            gradient = spread(agreement, gradient, numbers[1], numbers[2], np.empty_like(images[level]))
+        return np.asarray(dots(gradient, tangents.numpy()).sum(axis=0))
 
     def _numbers(self, level: int) -> tuple[np.float32, np.float32, np.float32]:
         """ε² of the render and the derivative filter, as the kernels take them."""
