@@ -645,7 +645,9 @@ def section_busy(o: argparse.Namespace) -> list[Line]:
     if not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2:
         print("\nBusy machine: needs Linux and two cores.")
         return []
-    surroundings = {"as it is": {}} | ({"TBB installed": {"LD_LIBRARY_PATH": str(o.tbb)}} if o.tbb else {})
+    surroundings: dict[str, dict[str, str]] = {"as it is": {}} | (
+        {"TBB installed": {"LD_LIBRARY_PATH": str(o.tbb)}} if o.tbb else {}
+    )
     samples: dict[tuple[str, bool], list[Numbers]] = {}
     for turn in range(4):  # the first may compile, and is not counted
         for name, environment in surroundings.items():

@@ -48,6 +48,18 @@ def test_folders_that_are_refused(capture: Path, finished: Path, tmp_path: Path,
     assert (tmp_path / "foreign" / "thesis.tex").exists()
 
 
+def test_too_little_memory_is_refused_before_any_work(
+    capture: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = state(finished)
+    for out in (finished, tmp_path / "new"):
+        with pytest.raises(SystemExit) as stop:
+            main(["run", str(capture), "--out", str(out), "--memory-gb", "0.5", "--rgb.seed", "1"])
+        error = capsys.readouterr().err
+        assert stop.value.code == 2 and error == "error: memory_gb is 0.5; a run needs 1.0 or more (--memory-gb).\n"
+    assert state(finished) == before and not (tmp_path / "new" / "config.json").exists()
+
+
 def test_a_model_that_cannot_be_imported_is_refused_at_once(capture: Path, finished: Path, run: Path, tmp_path: Path) -> None:
     (tmp_path / "no.ply").write_text("not a PLY")
     write_ply(tmp_path / "thermal.ply", RunFolder(finished).read_thermal().gaussians)

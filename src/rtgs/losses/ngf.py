@@ -125,7 +125,7 @@ class NgfPyramid:
 
     def slopes(self, picture: Tensor, tangents: Tensor) -> NDArray[np.float64]:
         """`[K]`: derivatives of Eq. 7 along tangents `[K, H, W]`."""
-        gradient = torch.func.grad(self)(picture)  # type: ignore[misc]
+        gradient = torch.func.grad(self)(picture)
         return np.asarray((tangents * gradient).sum((1, 2)).numpy(), dtype=np.float64)
 
     def residuals(self, render: Tensor) -> Tensor:

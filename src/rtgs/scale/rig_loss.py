@@ -80,7 +80,7 @@ class RigLoss:
 
     def evaluate(self, objective: Objective, indices: Sequence[int], x: Vector) -> Point:
         """Loss, gradient and Gauss–Newton matrix of these frames: one picture with its tangents a frame."""
-        found = [objective.products(i, *motion) for i, *motion in self._motions(objective, indices, x)]
+        found = [objective.products(*motion) for motion in self._motions(objective, indices, x)]
         return Point(
             x,
             np.array([p.loss for p in found]),
@@ -90,7 +90,7 @@ class RigLoss:
 
     def gradient(self, objective: Objective, indices: Sequence[int], x: Vector) -> Vector:
         """`[K]`: the gradient of the mean loss alone, in less time than `evaluate`."""
-        slopes = [objective.slopes(i, *motion) for i, *motion in self._motions(objective, indices, x)]
+        slopes = [objective.slopes(*motion) for motion in self._motions(objective, indices, x)]
         return np.asarray(np.mean(slopes, axis=0))
 
     def _motions(
