@@ -57,6 +57,7 @@ PAGES = {
         Page("refinement", 'python benchmarks/refine_scale.py --out {out} --seeds 5 --rows "focal 2,direction"'),
         Page("interval-coverage", "python benchmarks/scale_coverage.py --out {out}"),
         Page("scale-verdict", "python benchmarks/scale_verdict.py --out {out}"),
+        Page("imported-model", "python benchmarks/imported_model.py --out {out}"),
         Page("scale-halves", "python benchmarks/scale_splits.py {run}"),
         Page("scale-speed", "python benchmarks/scale_speed.py {run}"),
         Page(
