@@ -48,18 +48,19 @@ def regions_by_excess(temperature: Image, depth: Image, excess: float) -> list[R
         temperature, depth: `[H, W]`; depth is NaN where nothing is.
         excess: least difference between the peak and its surroundings.
     """
-    contrast, radius = _standing_out(temperature, depth)
-    highest = ndimage.maximum_filter(temperature, 5) == temperature
-    rows, columns = np.nonzero(highest & (contrast >= excess))
+    rows, columns = np.nonzero((ndimage.maximum_filter(temperature, 5) == temperature) & np.isfinite(depth))
+    contrast, radius = _standing_out(temperature, depth, rows, columns)
     taken = np.zeros(temperature.shape, bool)
     found = []
-    for k in np.argsort(-contrast[rows, columns], kind="stable"):
+    for k in np.argsort(-contrast, kind="stable"):
         row, column = int(rows[k]), int(columns[k])
+        if contrast[k] < excess:
+            break
         if taken[row, column]:
             continue
-        surroundings = float(temperature[row, column] - contrast[row, column])
-        level = surroundings + 0.5 * float(contrast[row, column])
-        region = _grown(temperature, depth, (row, column), level, 2 * int(radius[row, column]))
+        surroundings = float(temperature[row, column] - contrast[k])
+        level = surroundings + 0.5 * float(contrast[k])
+        region = _grown(temperature, depth, (row, column), level, 2 * int(radius[k]))
         if region is not None:
             taken[region] = True
             found.append(Region(*region, (row, column), surroundings, _area_px(temperature, region, level)))
@@ -97,36 +98,29 @@ def _area_px(temperature: Image, region: tuple[NDArray[np.int64], NDArray[np.int
     return float(np.isin(labels, own[own > 0]).sum()) / _FINER**2 or float(len(rows))
 
 
-def _standing_out(temperature: Image, depth: Image) -> tuple[Image, NDArray[np.int64]]:
-    """`[H, W]` each: by how much a pixel is warmer than four fifths of the ring around it, and the radius of the ring where that is most.
+def _standing_out(
+    temperature: Image, depth: Image, rows: NDArray[np.int64], columns: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """`[K]` each: by how much a pixel is warmer than four fifths of the ring around it, and the radius of the ring where that is most.
 
     A pair of opposite pixels that leaves the surface counts as hotter than everything: where a fifth of the ring does, nothing stands out.
     """
-    best = np.full(temperature.shape, -np.inf)
-    radius = np.zeros(temperature.shape, np.int64)
+    best, radius = np.full(len(rows), -np.inf), np.zeros(len(rows), np.int64)
+    angles = np.arange(PAIRS) * np.pi / PAIRS
     for r in RADII_PX:
-        ring = []
-        for angle in np.arange(PAIRS) * np.pi / PAIRS:
-            step = np.rint([r * np.sin(angle), r * np.cos(angle)]).astype(int)
-            temperatures, depths = ([_moved(image, sign * step) for sign in (1, -1)] for image in (temperature, depth))
-            with np.errstate(invalid="ignore"):
-                surface = np.abs(0.5 * (depths[0] + depths[1]) - depth) <= FLAT_SHARE * depth
-            ring += [np.where(surface, t, np.inf) for t in temperatures]
-        kept = int(np.ceil(RING_SHARE * len(ring))) - 1
-        contrast = temperature - np.partition(np.stack(ring), kept, axis=0)[kept]
-        better = contrast > best
-        best, radius = np.where(better, contrast, best), np.where(better, r, radius)
+        half = np.rint(r * np.stack([np.sin(angles), np.cos(angles)])).astype(np.int64)
+        dy, dx = np.concatenate([half, -half], axis=1)
+        y, x = rows[:, None] + dy, columns[:, None] + dx
+        inside = (y >= 0) & (y < temperature.shape[0]) & (x >= 0) & (x < temperature.shape[1])
+        y, x = np.where(inside, y, 0), np.where(inside, x, 0)
+        far = np.where(inside, depth[y, x], np.nan)
+        middle, own = 0.5 * (far[:, :PAIRS] + far[:, PAIRS:]), depth[rows, columns][:, None]
+        surface = np.tile(np.abs(middle - own) <= FLAT_SHARE * own, 2)  # False where a depth is NaN
+        ring = np.where(surface, temperature[y, x], np.inf)
+        kept = int(np.ceil(RING_SHARE * ring.shape[1])) - 1
+        contrast = temperature[rows, columns] - np.partition(ring, kept, axis=1)[:, kept]
+        radius, best = np.where(contrast > best, r, radius), np.maximum(contrast, best)
     return best, radius
-
-
-def _moved(image: Image, step: NDArray[np.int64]) -> Image:
-    """`image[row + step[0], column + step[1]]`, NaN outside."""
-    padded = np.full(image.shape, np.nan)
-    (h, w), (dy, dx) = image.shape, (int(s) for s in step)
-    target = (slice(max(-dy, 0), h - max(dy, 0)), slice(max(-dx, 0), w - max(dx, 0)))
-    source = (slice(max(dy, 0), h - max(-dy, 0)), slice(max(dx, 0), w - max(-dx, 0)))
-    padded[target] = image[source]
-    return padded
 
 
 def _grown(
