@@ -16,7 +16,7 @@ SPOT = Spot("cold", (1.0, -2.0, 0.5), 0.01, 12.0, 13.0, 20.0, 0.1, 7, ("f3", "f1
 
 
 def test_a_spot_is_read_as_it_was_written(tmp_path: Path) -> None:
-    spots = SpotList((SPOT, replace(SPOT, std=None, photographed=None, photographed_std=None)), "°C", "3 °C or more", 18.0)
+    spots = SpotList((SPOT, replace(SPOT, std=None, modelled_std=None)), "°C", "3 °C or more", 18.0)
     write_json(tmp_path / "spots.json", spots)
     assert read_record(SpotList, tmp_path / "spots.json") == spots
     data = json.loads((tmp_path / "spots.json").read_text(encoding="utf-8"))["spots"][0]
@@ -24,10 +24,10 @@ def test_a_spot_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_model_and_photographs_differ_beyond_two_standard_errors() -> None:
-    assert SPOT.model_differs and not replace(SPOT, photographed=11.7).model_differs
+    assert SPOT.model_differs and not replace(SPOT, modelled=11.7).model_differs
     assert not replace(SPOT, std=None).model_differs
-    assert "photographs show 9.0 °C" in spot_line(1, SPOT, "°C")
-    assert "photographs" not in spot_line(1, replace(SPOT, photographed=11.9), "°C")
+    assert "the model shows 9.0 °C" in spot_line(1, SPOT, "°C")
+    assert "model" not in spot_line(1, replace(SPOT, modelled=11.9), "°C")
 
 
 def test_a_row_has_a_cell_for_every_column() -> None:

@@ -1,4 +1,4 @@
-"""The list of spots: where they are, how large, how hot, and what the photographs say of them."""
+"""The list of spots: where they are, how large, how hot, and what the model shows of them."""
 
 from __future__ import annotations
 
@@ -79,23 +79,37 @@ def test_position_area_and_temperature_of_known_spots(known: tuple[Scene, Therma
         assert spot.area_m2 == pytest.approx(math.pi * fwhm**2 / 4, rel=0.3)
         assert spot.extreme == pytest.approx(20 + height, abs=1.0) and spot.surroundings == pytest.approx(20, abs=1.0)
         assert spot.views >= 8 and spot.best_frames[0] in {f.name for f in scene.train_frames}
-        assert spot.photographed == pytest.approx(spot.extreme, abs=1e-3) and not spot.model_differs
+        assert spot.modelled == pytest.approx(spot.extreme, abs=1e-3) and not spot.model_differs
 
 
 @pytest.mark.thorough
-def test_a_wall_without_spots_has_none() -> None:
-    model = wall([])
-    assert find_spots(photographed(model), model).spots == ()
+def test_a_wall_without_spots_has_none_whatever_the_model_shows(known: tuple[Scene, ThermalModel]) -> None:
+    assert find_spots(photographed(wall([])), known[1]).spots == ()
 
 
 @pytest.mark.thorough
-def test_photographs_that_are_hotter_than_the_model_are_told(known: tuple[Scene, ThermalModel]) -> None:
+def test_what_stands_in_one_photograph_is_none_and_masked_pixels_are_none(known: tuple[Scene, ThermalModel]) -> None:
+    scene, _ = known
+    names = [f.name for f in scene.train_frames]
+    images = {f.name: f.thermal.copy() for f in scene.frames}
+    images[names[0]][20:24, 30:34] += 30  # a reflection
+    mask = scene.capture.thermal_mask.copy()
+    for name in names:
+        images[name][60, 70] = 500  # a bad pixel
+    mask[60, 70] = False
+    spoilt = altered(scene, thermal=images)
+    spoilt = replace(spoilt, capture=replace(spoilt.capture, thermal_mask=mask))
+    assert [s.kind for s in find_spots(spoilt, wall(SPOTS)).spots] == ["hot", "cold"]
+
+
+@pytest.mark.thorough
+def test_what_the_model_erases_is_listed_and_told(known: tuple[Scene, ThermalModel]) -> None:
     scene, _ = known
     weak = wall([(at, 0.5 * height, fwhm) for at, height, fwhm in SPOTS])
     found = find_spots(scene, weak)
     assert len(found.spots) == 2 and all(spot.model_differs for spot in found.spots)
     hot = found.spots[0]
-    assert hot.photographed is not None and hot.photographed - hot.extreme == pytest.approx(6.0, abs=0.7)
+    assert hot.extreme == pytest.approx(32, abs=1.0) and hot.extreme - hot.modelled == pytest.approx(6.0, abs=0.7)
 
 
 @pytest.mark.thorough

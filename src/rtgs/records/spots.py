@@ -1,4 +1,4 @@
-"""Hot and cold spots of a thermal model: the list that an inspector wants."""
+"""Hot and cold spots: the list that an inspector wants."""
 
 from __future__ import annotations
 
@@ -19,12 +19,11 @@ class Spot:
         kind: "hot" or "cold".
         position_m: centre, in SfM's world, divided by its SfM units per metre.
         area_m2: of the surface where at least half of the excess is; of what is beyond the threshold, where there is one.
-        extreme: the model's highest (lowest) temperature. mean: over the area. surroundings: of the surface around.
+        extreme: highest (lowest) temperature in the photographs. mean: over the area. surroundings: of the surface around.
         std: standard error of `extreme`, from its scatter over the views; None for a single view.
-        views: how many training views show it.
+        views: how many training photographs show it.
         best_frames: up to three frames that show it largest.
-        photographed: the highest (lowest) temperature there in the photographs; None where none has a valid pixel there.
-        photographed_std: its standard error.
+        modelled: the model's highest (lowest) temperature there. modelled_std: its standard error.
     """
 
     kind: Literal["hot", "cold"]
@@ -36,8 +35,8 @@ class Spot:
     std: float | None
     views: int
     best_frames: tuple[str, ...]
-    photographed: float | None
-    photographed_std: float | None
+    modelled: float
+    modelled_std: float | None
 
     JSON_PROPERTIES: ClassVar = ("excess", "diameter_m", "model_differs")
 
@@ -54,14 +53,14 @@ class Spot:
     @property
     def model_differs(self) -> bool:
         """Whether model and photographs differ by more than twice the standard error of their difference."""
-        if self.photographed is None or self.std is None or self.photographed_std is None:
+        if self.std is None or self.modelled_std is None:
             return False
-        return abs(self.photographed - self.extreme) > 2 * math.hypot(self.std, self.photographed_std)
+        return abs(self.modelled - self.extreme) > 2 * math.hypot(self.std, self.modelled_std)
 
 
 @dataclass(frozen=True)
 class SpotList:
-    """The spots of a model, the strongest first.
+    """The spots of a capture, the strongest first.
 
     Attributes:
         unit: of temperatures.

@@ -15,12 +15,12 @@ from rtgs.thermal.spots import find_spots
 
 COLUMNS = (
     *("number", "kind", "x_m", "y_m", "z_m", "area_m2", "diameter_m", "extreme", "mean", "surroundings", "excess", "std"),
-    *("off_reference", "views", "photographed", "photographed_std", "model_differs", "best_frames"),
+    *("off_reference", "views", "modelled", "modelled_std", "model_differs", "best_frames"),
 )
 
 
 def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, *, progress: Progress | None = None) -> SpotList:
-    """Find the spots of the run's thermal model and write them to the folder `out`.
+    """Find the spots of the run and write them to the folder `out`.
 
     Raises:
         RtgsError: `out` is the run or lies in the capture, or the thermal model is missing.
@@ -39,7 +39,7 @@ def spot_line(number: int, spot: Spot, unit: str) -> str:
     line = f"{number}: {spot.kind}, {spot.extreme:.1f} {unit} ({spot.excess:+.1f}) at {x:.3f} {y:.3f} {z:.3f} m"
     line += f", {1e4 * spot.area_m2:.3g} cm², {spot.views} views, best {spot.best_frames[0]}"
     if spot.model_differs:
-        line += f"; photographs show {spot.photographed:.1f} {unit}"
+        line += f"; the model shows {spot.modelled:.1f} {unit}"
     return line
 
 
@@ -57,8 +57,8 @@ def row_of(number: int, spot: Spot, reference: float | None) -> list[str]:
         *(text(v) for v in (spot.area_m2, spot.diameter_m, spot.extreme, spot.mean, spot.surroundings, spot.excess, spot.std)),
         text(off),
         str(spot.views),
-        text(spot.photographed),
-        text(spot.photographed_std),
+        text(spot.modelled),
+        text(spot.modelled_std),
         "yes" if spot.model_differs else "no",
         " ".join(spot.best_frames),
     ]

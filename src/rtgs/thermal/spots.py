@@ -1,4 +1,8 @@
-"""The hot and cold spots of a thermal model: found in its renders from the training views, and joined where they lie on the surface."""
+"""The hot and cold spots of a capture: found in its training photographs, and joined where they lie together on the model's surface.
+
+The photographs decide, because a model may erase what is smaller than its Gaussians. The model says where on the surface they look, and
+what it shows there itself. What a single photograph has, a reflection or a person, is no spot.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +42,7 @@ class Sighting:
     Attributes:
         sign: 1 hot, −1 cold.
         pixel: width of a pixel at its distance. pixels: how many it has.
-        extreme, mean, surroundings, photographed: temperatures, as in `Spot`.
+        extreme, mean, surroundings, modelled: temperatures, as in `Spot`.
     """
 
     frame: str
@@ -50,16 +54,16 @@ class Sighting:
     extreme: float
     mean: float
     surroundings: float
-    photographed: float
+    modelled: float
 
 
 def find_spots(
     scene: Scene, model: ThermalModel, config: SpotsConfig | None = None, *, progress: Progress | None = None
 ) -> SpotList:
-    """List the spots of a model.
+    """List the spots of a capture.
 
-    A spot is found in the renders of the training views, and there compared with the photographs. Sightings of several views at one place
-    of the surface are one spot. Places that few views show are left out.
+    A spot is found in the training photographs, without drift and pattern of the sensor, and there compared with the model's renders.
+    Sightings of several views at one place of the surface are one spot. Places that few views show are left out.
 
     Args:
         config: what counts as a spot; None: the defaults.
@@ -114,33 +118,33 @@ def _in_view(
     scene: Scene, model: ThermalModel, frame: Frame, config: SpotsConfig, thresholds: dict[int, float] | None
 ) -> Iterator[Sighting]:
     camera, pose = scene.rig.thermal, scene.thermal_from_world(frame.name, model.sfm_per_metre)
-    shown = model.render(camera, pose)
+    shown, valid = model.render(camera, pose), scene.capture.thermal_mask
     photograph = frame.thermal - (model.render(camera, pose, photographed_in=frame.name) - shown)  # without drift and pattern
-    photograph = np.where(scene.capture.thermal_mask, photograph, np.nan)
+    photograph = np.where(valid, photograph, shown).astype(np.float64)
     with torch.no_grad():
         view = render(model.gaussians, camera, pose, settings=replace(model.settings, with_depth=True))
     assert view.depth is not None
     alpha = view.alpha.numpy().astype(np.float64)
-    depth = np.where(alpha >= SOLID, view.depth.numpy() / np.maximum(alpha, SOLID), np.nan)
+    depth = np.where((alpha >= SOLID) & valid, view.depth.numpy() / np.maximum(alpha, SOLID), np.nan)
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     local = np.stack([(x - camera.cx) / camera.fl_x, (y - camera.cy) / camera.fl_y, np.ones_like(x)], axis=-1) * depth[..., None]
     world_from_thermal = pose.inverse()
     for sign in (1, -1):
-        image = sign * shown.astype(np.float64)
+        image = sign * photograph
         if thresholds is None:
             regions: Sequence[Region] = regions_by_excess(image, depth, config.excess)
         else:
             regions = list(regions_by_threshold(image, depth, sign * thresholds[sign])) if sign in thresholds else []
         for region in regions:
-            measured = _measured(region, frame.name, sign, image, sign * photograph, local, camera.fl_x)
+            measured = _measured(region, frame.name, sign, image, sign * shown.astype(np.float64), local, camera.fl_x)
             yield replace(measured, centre=world_from_thermal.apply(measured.centre))
 
 
-def _measured(region: Region, frame: str, sign: int, image: Floats, photograph: Floats, local: Floats, focal: float) -> Sighting:
+def _measured(region: Region, frame: str, sign: int, image: Floats, shown: Floats, local: Floats, focal: float) -> Sighting:
     """A region of one view, in camera axes.
 
     Args:
-        image, photograph: `[H, W]`, temperatures times the sign.
+        image, shown: `[H, W]`, temperatures times the sign, of the photograph and of the render.
         local: `[H, W, 3]`, the surface that each pixel shows.
     """
     own = np.zeros(image.shape, bool)
@@ -156,7 +160,6 @@ def _measured(region: Region, frame: str, sign: int, image: Floats, photograph: 
     # A pixel's solid angle shrinks towards the image's border by the cube of the cosine to the axis.
     areas = pixel**2 * views[:, 2] / slant
     weights = np.maximum(image[own] - region.surroundings, 1e-6)
-    nearby = photograph[binary_dilation(own)]
     return Sighting(
         frame,
         sign,
@@ -167,7 +170,7 @@ def _measured(region: Region, frame: str, sign: int, image: Floats, photograph: 
         sign * float(image[own].max()),
         sign * float(image[own].mean()),
         sign * region.surroundings,
-        sign * float(np.nanmax(nearby)) if np.isfinite(nearby).any() else float("nan"),
+        sign * float(shown[binary_dilation(own)].max()),
     )
 
 
@@ -175,11 +178,10 @@ def _spot(group: Sequence[Sighting], scene: Scene, sfm_per_metre: float) -> Spot
     """One spot from its sightings: medians, and standard errors from their scatter."""
 
     def median(name: str) -> float:
-        return float(np.nanmedian([getattr(s, name) for s in group]))
+        return float(np.median([getattr(s, name) for s in group]))
 
     def error(name: str) -> float | None:
         values = np.array([getattr(s, name) for s in group])
-        values = values[np.isfinite(values)]
         return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
     best = sorted(group, key=lambda s: -s.pixels)
@@ -195,6 +197,6 @@ def _spot(group: Sequence[Sighting], scene: Scene, sfm_per_metre: float) -> Spot
         std=error("extreme"),
         views=len({s.frame for s in group}),
         best_frames=tuple(dict.fromkeys(s.frame for s in best))[:_BEST],
-        photographed=median("photographed") if any(np.isfinite(s.photographed) for s in group) else None,
-        photographed_std=error("photographed"),
+        modelled=median("modelled"),
+        modelled_std=error("modelled"),
     )

@@ -51,7 +51,7 @@ def render_images(
 
 
 def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener: Hidden) -> None:
-    """List the hot and cold spots of a run: where they are, how large, how hot, and what the photographs show there.
+    """List the hot and cold spots of a run: where they are, how large, how hot, and what the model shows there.
 
     Args:
         run: the run folder.
