@@ -17,7 +17,7 @@ PAIRS = 12  # of opposite pixels on a ring
 RING_SHARE = (
     0.8  # of the ring that a spot is warmer than by the excess: at a straight edge about half is, at a corner three quarters
 )
-FLAT_SHARE = 0.02  # of the depth: opposite pixels of a ring have the centre's depth on average where the surface goes on
+FLAT_SHARE = 0.05  # of the depth: opposite pixels of a ring have the centre's depth on average where the surface goes on
 _FINER, _COUNTED = 4, 400  # interpolation of a small region's area, and the pixels from which a region is counted
 _EDGE = 3  # pixels around a region whose median stands for its surroundings
 

@@ -27,10 +27,11 @@ from rtgs.renderer import render
 from rtgs.thermal.spot_regions import Region, regions_by_excess, regions_by_threshold
 
 SOLID = 0.5  # opacity from which a pixel shows a surface
-NEAR_PX = 2.0  # views agree about a place to so many pixels
+NEAR_PX = 2.0  # rays of two views to one place pass each other within so many pixels
+DEPTH_SHARE = 0.04  # of the distance: error of the model's depth, on surfaces without texture
 _STEEPEST = 0.2  # cosine: a region that is seen more slantingly gets the area of this slant
 _BEST = 3
-_PLANE_PX = 3  # pixels around a region that its plane is fitted to, as well
+_PLANE_PX = 8  # pixels around a region that its plane is fitted to, as well: depth on plain surfaces is noisy
 
 Floats = NDArray[np.float64]
 
@@ -41,12 +42,14 @@ class Sighting:
 
     Attributes:
         sign: 1 hot, −1 cold.
+        eye: where the camera is. centre: of the spot, by the model's depth.
         pixel: width of a pixel at its distance. pixels: how many it has.
         extreme, mean, surroundings, modelled: temperatures, as in `Spot`.
     """
 
     frame: str
     sign: int
+    eye: Floats
     centre: Floats
     area: float
     pixel: float
@@ -56,6 +59,16 @@ class Sighting:
     surroundings: float
     modelled: float
 
+    @property
+    def radius(self) -> float:
+        """Of a disk of that area, and at least half of `NEAR_PX`."""
+        return max(float(np.sqrt(self.area / np.pi)), 0.5 * NEAR_PX * self.pixel)
+
+    @property
+    def depth_error(self) -> float:
+        """How far the place may be off along the ray."""
+        return DEPTH_SHARE * float(np.linalg.norm(self.centre - self.eye))
+
 
 def find_spots(
     scene: Scene, model: ThermalModel, config: SpotsConfig | None = None, *, progress: Progress | None = None
@@ -63,7 +76,8 @@ def find_spots(
     """List the spots of a capture.
 
     A spot is found in the training photographs, without drift and pattern of the sensor, and there compared with the model's renders.
-    Sightings of several views at one place of the surface are one spot. Places that few views show are left out.
+    Sightings of several views at one place of the surface are one spot. It lies where their rays meet. Places that few views show are
+    left out.
 
     Args:
         config: what counts as a spot; None: the defaults.
@@ -86,17 +100,39 @@ def find_spots(
 
 
 def joined(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
-    """Sightings in groups that lie together: nearer than the radius of the larger one, or than two pixels."""
+    """Sightings in groups that are of one place.
+
+    Two of different views belong together where their rays pass each other within the larger radius, and where the model's depths agree to
+    their errors. Two of one view do where they lie within the larger radius.
+    """
     if not sightings:
         return []
-    centres = np.stack([s.centre for s in sightings])
-    reach = np.array([max(np.sqrt(s.area / np.pi), NEAR_PX * s.pixel) for s in sightings])
-    pairs = cKDTree(centres).query_pairs(float(reach.max()), output_type="ndarray")
-    apart = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
-    near = pairs[apart <= np.maximum(reach[pairs[:, 0]], reach[pairs[:, 1]])]
-    graph = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(sightings), len(sightings)))
+    centres, eyes = np.stack([s.centre for s in sightings]), np.stack([s.eye for s in sightings])
+    radius, depth_error = (np.array([getattr(s, name) for s in sightings]) for name in ("radius", "depth_error"))
+    a, b = cKDTree(centres).query_pairs(float((radius + depth_error).max()), output_type="ndarray").T
+    apart = np.linalg.norm(centres[a] - centres[b], axis=1)
+    rays = (centres - eyes) / np.linalg.norm(centres - eyes, axis=1, keepdims=True)
+    across = np.cross(rays[a], rays[b])
+    sine = np.linalg.norm(across, axis=1)
+    passing = np.abs(((eyes[b] - eyes[a]) * across).sum(1)) / np.maximum(sine, 1e-12)
+    larger = np.maximum(radius[a], radius[b])
+    one_view = sine < 1e-6
+    one_view |= np.array([sightings[i].frame == sightings[j].frame for i, j in zip(a, b, strict=True)], dtype=bool)
+    near = (apart <= larger) | (~one_view & (passing <= larger) & (apart <= np.maximum(depth_error[a], depth_error[b])))
+    graph = coo_array((np.ones(near.sum()), (a[near], b[near])), shape=(len(sightings), len(sightings)))
     count, labels = connected_components(graph, directed=False)
     return [[sightings[int(i)] for i in np.flatnonzero(labels == k)] for k in range(count)]
+
+
+def meeting_point(group: Sequence[Sighting]) -> Floats:
+    """`[3]`: where the rays to a spot meet, by least squares. A ray is known to a pixel across and to the model's depth along."""
+    information, pull = np.zeros((3, 3)), np.zeros(3)
+    for s in group:
+        ray = (s.centre - s.eye) / np.linalg.norm(s.centre - s.eye)
+        along = np.outer(ray, ray)
+        weights = (np.eye(3) - along) / s.pixel**2 + along / s.depth_error**2
+        information, pull = information + weights, pull + weights @ s.centre
+    return np.asarray(np.linalg.solve(information, pull), dtype=np.float64)
 
 
 def _thresholds(scene: Scene, model: ThermalModel, config: SpotsConfig) -> tuple[dict[int, float] | None, str]:
@@ -137,7 +173,7 @@ def _in_view(
             regions = list(regions_by_threshold(image, depth, sign * thresholds[sign])) if sign in thresholds else []
         for region in regions:
             measured = _measured(region, frame.name, sign, image, sign * shown.astype(np.float64), local, camera.fl_x)
-            yield replace(measured, centre=world_from_thermal.apply(measured.centre))
+            yield replace(measured, eye=world_from_thermal.translation, centre=world_from_thermal.apply(measured.centre))
 
 
 def _measured(region: Region, frame: str, sign: int, image: Floats, shown: Floats, local: Floats, focal: float) -> Sighting:
@@ -159,10 +195,11 @@ def _measured(region: Region, frame: str, sign: int, image: Floats, shown: Float
     pixel = points[:, 2] / focal
     # A pixel's solid angle shrinks towards the image's border by the cube of the cosine to the axis.
     areas = pixel**2 * views[:, 2] / slant
-    weights = np.maximum(image[own] - region.surroundings, 1e-6)
+    weights = np.maximum(image[own] - region.surroundings, 1e-6) * areas
     return Sighting(
         frame,
         sign,
+        np.zeros(3),
         np.asarray((weights[:, None] * points).sum(0) / weights.sum()),
         float(areas.mean()) * region.area_px,
         float(np.median(pixel)),
@@ -185,8 +222,7 @@ def _spot(group: Sequence[Sighting], scene: Scene, sfm_per_metre: float) -> Spot
         return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
     best = sorted(group, key=lambda s: -s.pixels)
-    centre = np.median([s.centre for s in group], axis=0)
-    x, y, z = (float(v) / sfm_per_metre for v in scene.given_from_world.apply(centre))
+    x, y, z = (float(v) / sfm_per_metre for v in scene.given_from_world.apply(meeting_point(group)))
     return Spot(
         kind="hot" if group[0].sign > 0 else "cold",
         position_m=(x, y, z),
