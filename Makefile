@@ -3,6 +3,7 @@
 # make demo   the whole pipeline on a small capture, and its report
 # make lint   ruff and mypy alone
 # make fuzz   50,000 odd inputs for every reader; make fuzz FUZZ_INPUTS=2000 for fewer
+# make faults 50 kills of runs and full disks of 20 sizes; root is needed for the disks
 # make docs   the site in docs/_build/html; any warning is an error
 # make results PAGE=ssim                               measure a page of results again (minutes to hours)
 # make clean-kernels   delete Numba's cache, which does not notice changes of other files than a kernel's own
@@ -13,7 +14,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: test quick demo lint venv docs results clean-kernels fuzz
+.PHONY: test quick demo lint venv docs results clean-kernels fuzz faults
 .NOTPARALLEL:
 
 venv: $(STAMP)
@@ -40,9 +41,9 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 # Two test processes with one thread each: Numba's and torch's own threads would fight over the same cores.
-test quick fuzz: export NUMBA_NUM_THREADS = 1
-test quick fuzz: export OMP_NUM_THREADS = 1
-test quick fuzz: export MKL_NUM_THREADS = 1
+test quick fuzz faults: export NUMBA_NUM_THREADS = 1
+test quick fuzz faults: export OMP_NUM_THREADS = 1
+test quick fuzz faults: export MKL_NUM_THREADS = 1
 test: lint docs
 	$(BIN)/python tests/helpers/compile_kernels.py
 	$(BIN)/python -m pytest -q -n 2 --durations=15
@@ -54,6 +55,9 @@ FUZZ_INPUTS ?= 50000
 
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz.campaign --inputs $(FUZZ_INPUTS)
+
+faults: $(STAMP)
+	$(BIN)/python -m tests.faults.campaign
 
 demo: $(STAMP)
 	$(BIN)/rtgs demo

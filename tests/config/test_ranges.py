@@ -3,52 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import typing
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from tests.helpers.settings_out_of_range import CONFIGS, NUMERIC, outside, with_number
 
-import rtgs.config
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import nobody
 from rtgs.cli import main
 from rtgs.cli.table import all_commands, experiment_commands
 from rtgs.config import ManualConfig, RunConfig
 from rtgs.config.ranges import Range, ranges_of
-
-CONFIGS = [c for name in rtgs.config.__all__ for c in [getattr(rtgs.config, name)] if dataclasses.is_dataclass(c)]
-
-
-def kinds(hint: Any) -> set[type]:
-    """int and float, where they occur in a type."""
-    inner = [kinds(part) for part in typing.get_args(hint) if not isinstance(part, str | Range)]
-    return ({hint} & {int, float}).union(*inner)
-
-
-NUMERIC = [(c, name) for c in CONFIGS for name, hint in typing.get_type_hints(c).items() if kinds(hint)]
-
-
-def with_number(hint: Any, value: float, second: bool) -> Any:
-    """The value, in the tuple that the type asks for."""
-    if typing.get_origin(hint) is tuple:
-        parts = [a for a in typing.get_args(hint) if a is not Ellipsis]
-        if typing.get_origin(parts[0]) is tuple:
-            return ((0.5, value),) if second else ((value, 2),)
-        return tuple([value] * len(parts))
-    tuples = [a for a in typing.get_args(hint) if typing.get_origin(a) is tuple]
-    return with_number(tuples[0], value, second) if tuples else value
-
-
-def outside(allowed: Range) -> Iterator[float]:
-    """Numbers just outside of a range."""
-    yield from (math.nan, math.inf, -math.inf)
-    yield from (limit for limit in (allowed.above, allowed.below) if limit is not None)
-    if allowed.least is not None:
-        yield allowed.least - 1
-    if allowed.most is not None:
-        yield allowed.most + 1
 
 
 def test_there_are_settings() -> None:

@@ -8,7 +8,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from errno import EIO
+from errno import EDQUOT, EFBIG, EIO, ENOSPC
 from pathlib import Path
 
 
@@ -81,6 +81,15 @@ def room_in(folder: Path) -> str:
     free, limit = shutil.disk_usage(folder).free, _largest_file()
     said = f"{free / 1e6:,.1f} MB are free there"
     return said if free < limit else f"{said}, and a file of this process may have {limit / 1e6:,.1f} MB"
+
+
+def reason(error: OSError) -> str:
+    """Why a file could not be written or read; with the room there is where that is the reason."""
+    said = error.strerror or str(error)
+    if error.errno not in (ENOSPC, EDQUOT, EFBIG) or error.filename is None:
+        return said
+    folder = Path(error.filename).parent
+    return f"{said} ({room_in(folder)})" if folder.is_dir() else said
 
 
 def _largest_file() -> float:

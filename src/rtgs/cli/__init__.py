@@ -9,8 +9,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from errno import EDQUOT, EFBIG, ENOSPC
-from pathlib import Path
 
 import tyro
 from rich.console import Console
@@ -18,7 +16,7 @@ from rich.console import Console
 from rtgs import __version__
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, to_all
-from rtgs.base.files import room_in
+from rtgs.base.files import reason
 from rtgs.cli.options import saved_settings
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 from rtgs.cli.table import all_commands, experiment_commands
@@ -72,7 +70,7 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
         elif isinstance(error, RuntimeError) and "Symlink loop" in str(error):  # as pathlib says it before Python 3.13
             _complain(f"{error}. Remove the link, or name what it was meant to lead to.")
         elif isinstance(error, OSError):  # a full disk, a folder that may not be written
-            _complain(f"{error.filename}: {error.strerror}{_free_space(error)}" if error.filename else str(error))
+            _complain(f"{error.filename}: {reason(error)}" if error.filename else str(error))
         else:
             raise
         sys.exit(2)
@@ -83,14 +81,6 @@ def _run(arguments: Sequence[str], listener: Listener) -> None:
     if arguments[:1] == ["experiment"]:
         table, prog, about, arguments = experiment_commands(listener), "rtgs experiment", _ABOUT_EXPERIMENT, arguments[1:]
     tyro.extras.subcommand_cli_from_dict(table, prog=prog, description=about, args=arguments or ["--help"])
-
-
-def _free_space(error: OSError) -> str:
-    """What is left on a disk that is full."""
-    if error.errno not in (ENOSPC, EDQUOT, EFBIG):
-        return ""
-    folder = Path(error.filename).parent
-    return f" ({room_in(folder)})" if folder.is_dir() else ""
 
 
 def _complain(text: str) -> None:

@@ -29,7 +29,7 @@ from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.files import write_whole
+from rtgs.base.files import reason, write_whole
 from rtgs.maths.geometry import Sim3
 from rtgs.maths.sh import C0
 from rtgs.records.gaussians import Gaussians
@@ -120,7 +120,7 @@ def write_ply(
         with write_whole(path) as temporary:
             ply.write(str(temporary))
     except OSError as error:
-        raise RtgsError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise RtgsError(f"{path}: cannot be written: {reason(error)}") from error
 
 
 def _unturned(given_from_world: Sim3 | None) -> Sim3:

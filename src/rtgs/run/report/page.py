@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.files import write_text_whole
+from rtgs.base.files import reason, write_text_whole
 from rtgs.run.report.decisions import decisions_section
 from rtgs.run.report.inputs import inputs_section, warnings_section
 from rtgs.run.report.metrics import metrics_section, timings_section
@@ -51,7 +51,7 @@ def write_report(run: Path) -> Path:
     try:
         write_text_whole(path, page)
     except OSError as error:
-        raise RtgsError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise RtgsError(f"{path}: cannot be written: {reason(error)}") from error
     return path
 
 
