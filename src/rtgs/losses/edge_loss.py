@@ -58,7 +58,7 @@ class EdgeLoss:
 
 @dataclass(frozen=True)
 class Products:
-    """A loss and its derivatives along K tangents: `loss`, `slope` `[K]`, and the Gauss–Newton matrix 2·JᵀJ `[K, K]`."""
+    """A loss and its derivatives along K tangents: `loss`, `slope` `[K]`, and the Gauss–Newton matrix 2·JᵀJ `[K, K]` (0: not wanted)."""
 
     loss: float
     slope: NDArray[np.float64]
@@ -71,8 +71,9 @@ class EdgeTarget(Protocol):
     def loss(self, picture: Tensor) -> float:
         """Eq. 7 of a picture `[H, W]`: 0 where all gradients are parallel or anti-parallel, 1 for a picture without any."""
 
-    def products(self, picture: Tensor, tangents: Tensor) -> Products:
-        """Eq. 7 of a picture `[H, W]`, with its derivatives where the picture changes by each of the tangents `[K, H, W]`."""
+    def products(self, picture: Tensor, tangents: Tensor, *, curvature: bool = True) -> Products:
+        """Eq. 7 of a picture `[H, W]`, with its derivatives where the picture changes by each of the tangents `[K, H, W]`.
 
-    def slopes(self, picture: Tensor, tangents: Tensor) -> NDArray[np.float64]:
-        """`[K]`: `Products.slope` alone. It is cheaper along many tangents, since the gradient by the picture is formed once for all."""
+        Args:
+            curvature: whether the Gauss–Newton matrix is wanted. For many tangents it is a large part of the work.
+        """

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from rtgs.config import PAPER_EPSILON
@@ -111,22 +110,18 @@ class NgfPyramid:
         """Eq. 7 of a picture `[H, W]`, as a number."""
         return float(self(picture))
 
-    def products(self, picture: Tensor, tangents: Tensor) -> Products:
+    def products(self, picture: Tensor, tangents: Tensor, *, curvature: bool = True) -> Products:
         """Eq. 7 of a picture `[H, W]` and its slopes along tangents `[K, H, W]`, with the Gauss–Newton matrix of `residuals`."""
         losses, slopes, changes = [], [], []
+        none = picture.new_zeros(1)
         for tangent in tangents:
             loss, slope = torch.func.jvp(self, (picture,), (tangent,))  # type: ignore[misc]
-            _, change = torch.func.jvp(self.residuals, (picture,), (tangent,))  # type: ignore[misc]
+            change = torch.func.jvp(self.residuals, (picture,), (tangent,))[1] if curvature else none
             losses.append(loss)
             slopes.append(float(slope))
             changes.append(change)
         jacobian = torch.stack(changes)
         return Products(float(losses[0]), np.array(slopes), (2.0 * jacobian @ jacobian.T).numpy().astype(np.float64))
-
-    def slopes(self, picture: Tensor, tangents: Tensor) -> NDArray[np.float64]:
-        """`[K]`: derivatives of Eq. 7 along tangents `[K, H, W]`."""
-        gradient = torch.func.grad(self)(picture)
-        return np.asarray((tangents * gradient).sum((1, 2)).numpy(), dtype=np.float64)
 
     def residuals(self, render: Tensor) -> Tensor:
         """`[M]`: the vector whose squared norm is Eq. 7; what Gauss–Newton works on.

@@ -1,9 +1,8 @@
 """Eq. 7 with its derivatives along tangent pictures, in one fused pass on the CPU.
 
 `rtgs.losses.ngf.NgfPyramid` is the specification. These Numba kernels (float32, sums over rows in float64) are tested against it. A
-scale is found by thousands of evaluations of the loss along *one* direction. There the gradient by the picture is not formed: the Sobel
-filters run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once. For
-slopes alone along many directions (`ngf_gradient`) the gradient is formed.
+scale is found by thousands of evaluations of the loss along *one* direction, so the gradient by the picture is never formed: the Sobel
+filters run over the render and over its tangents, and a pixel gives its share of the slope and of the Gauss–Newton matrix at once.
 
 **Letters.** g = ∇A, h = ∇Ȧ, q = 1/(‖g‖² + ε²), n = g·√q, m = n_B. With p = g·h: ṅ = √q·(h − g·p·q). The residual pair of
 `NgfPyramid.residuals` is c = n × m and e = √(1 − ‖n‖²‖m‖²), and with u = 1 − ‖n‖² = ε²·q and v = 1 − ‖m‖², without cancellation,
@@ -25,7 +24,6 @@ from torch import Tensor
 from rtgs.base.compiled import kernel
 from rtgs.losses.edge_loss import EdgeLoss, Products
 from rtgs.losses.ngf import LEAST_STRENGTH, NgfPyramid
-from rtgs.losses.ngf_gradient import dots, pull, spread
 
 F = np.float32
 _BAND = 16  # rows a thread takes at a time
@@ -59,14 +57,14 @@ class FusedNgf:
             agreement += self._share(level) * found / self._strength(square)
         return float(1.0 - agreement)
 
-    def products(self, picture: Tensor, tangents: Tensor) -> Products:
+    def products(self, picture: Tensor, tangents: Tensor, *, curvature: bool = True) -> Products:
         """Eq. 7 of a picture `[H, W]` and its derivatives along tangents `[K, H, W]`, all float32."""
         stack = np.concatenate([picture.numpy()[None], tangents.numpy()])
         k = len(tangents)
         agreement, slope, matrix = 0.0, np.zeros(k), np.zeros(k * k)
         for level, target in enumerate(self.targets):
             stack = stack if level == 0 else _halved(stack)
-            sums = _products(stack, target, *self._numbers(level)).sum(axis=0) / self.pixels[level]
+            sums = _products(stack, target, *self._numbers(level), curvature).sum(axis=0) / self.pixels[level]
             found, square, rates, changes, squares = sums[0], sums[1], sums[2 : 2 + k], sums[2 + k : 2 + 2 * k], sums[2 + 2 * k :]
             strength = self._strength(square)
             share = self._share(level) / strength
@@ -75,26 +73,6 @@ class FusedNgf:
             slope += share * (rates - 0.5 * found / square * changes if varies else rates)
             matrix += share * squares
         return Products(float(1.0 - agreement), -2.0 * slope, 2.0 * matrix.reshape(k, k))
-
-    def slopes(self, picture: Tensor, tangents: Tensor) -> NDArray[np.float64]:
-        """`[K]`: derivatives of Eq. 7 of a picture `[H, W]` along tangents `[K, H, W]`, all float32."""
-        images = [picture.numpy()]
-        for _ in self.targets[1:]:
-            images.append(_halved(images[-1][None])[0])
-        gradient = np.zeros((0, 0), np.float32)
-        for level in reversed(range(len(self.targets))):
-            target, numbers = self.targets[level], self._numbers(level)
-            agreement, edges = (np.empty((2, *target.shape[1:]), np.float32) for _ in range(2))
-            sums = pull(images[level], target, *numbers, agreement, edges).sum(axis=0)
-            found, square = sums / self.pixels[level]
-            strength = self._strength(square)
-            factor = -2.0 * self._share(level) / strength / self.pixels[level]
-            varies = self.settings.per_edge and strength > LEAST_STRENGTH
-            agreement *= F(factor)
-            if varies:
-                agreement -= F(0.5 * factor * found / square) * edges
-            gradient = spread(agreement, gradient, numbers[1], numbers[2], np.empty_like(images[level]))
-        return np.asarray(dots(gradient, tangents.numpy()).sum(axis=0))
 
     def _numbers(self, level: int) -> tuple[np.float32, np.float32, np.float32]:
         """ε² of the render and the derivative filter, as the kernels take them."""
@@ -184,7 +162,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel("fast", parallel=True, checks_division=True)
-def _products(stack, target, epsilon2, side, centre):  # type: ignore[no-untyped-def]
+def _products(stack, target, epsilon2, side, centre, with_matrix):  # type: ignore[no-untyped-def]
     """`[rows, 2 + 2·K + K²]`: over each row, Σ (n · m)², Σ ‖n‖², Σ (n · m)(ṅ · m), Σ n · ṅ and Σ JᵀJ. `stack`: render, tangents."""
     rows, columns = target.shape[1], target.shape[2]
     ways = stack.shape[0] - 1
@@ -202,7 +180,7 @@ def _products(stack, target, epsilon2, side, centre):  # type: ignore[no-untyped
                 _gradient_row(stack[k + 1, y], stack[k + 1, y + 1], stack[k + 1, y + 2], side, centre, hx, hy)
                 cross, rest = residual[2 * k], residual[2 * k + 1]
                 sums[y, 2 + k], sums[y, 2 + ways + k] = _tangent_row(gx, gy, hx, hy, mx, my, v, valid, epsilon2, cross, rest)
-                for j in range(k + 1):
+                for j in range(k + 1 if with_matrix else 0):
                     product = _dot(residual[2 * j], residual[2 * k]) + _dot(residual[2 * j + 1], residual[2 * k + 1])
                     sums[y, first + j * ways + k] = product
                     sums[y, first + k * ways + j] = product

@@ -81,20 +81,28 @@ class Objective:
         found = self._target(index).products(*self._along_scale(index, theta))
         return FrameLoss(found.loss, float(found.slope[0]), float(found.curvature[0, 0]))
 
-    def products(self, index: int, camera: Camera, camera_from_world: SE3, directions: Sequence[Direction]) -> Products:
+    def products(
+        self,
+        index: int,
+        camera: Camera,
+        camera_from_world: SE3,
+        directions: Sequence[Direction],
+        *,
+        curvature: bool = True,
+    ) -> Products:
         """Eq. 7 for one frame seen by another thermal camera (given at full size) from another place, and its derivatives.
 
         Args:
             directions: ways for that camera to change, at full size; one derivative each.
+            curvature: whether the Gauss–Newton matrix is wanted.
 
         Raises:
             RtgsError: no direction or more than eight.
         """
-        return self._target(index).products(*self._seen_by(camera, camera_from_world, directions))
-
-    def slopes(self, index: int, camera: Camera, camera_from_world: SE3, directions: Sequence[Direction]) -> NDArray[np.float64]:
-        """`[K]`: `Products.slope` of `products` alone, in less time."""
-        return self._target(index).slopes(*self._seen_by(camera, camera_from_world, directions))
+        small = [replace(d, **{k: getattr(d, k) / self.reduction for k in INTRINSICS}) for d in directions]
+        pose = camera_from_world.to_torch(torch.float64)
+        seen = self._with_tangents(camera.reduced(self.reduction), pose, small)
+        return self._target(index).products(*seen, curvature=curvature)
 
     def picture(self, index: int, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Gray picture `[h, w]` and its derivative by θ, for other losses than Eq. 7."""
@@ -177,11 +185,6 @@ class Objective:
         """Gray picture `[h, w]` and its tangent along θ, `[1, h, w]`."""
         pose = self._pose(index, torch.tensor(theta, dtype=torch.float64))
         return self._with_tangents(self._camera, pose, [scale_direction(self.scene, theta)])
-
-    def _seen_by(self, camera: Camera, camera_from_world: SE3, directions: Sequence[Direction]) -> tuple[Tensor, Tensor]:
-        """Gray picture and its tangents, for a camera and directions that are given at full size."""
-        small = [replace(d, **{k: getattr(d, k) / self.reduction for k in INTRINSICS}) for d in directions]
-        return self._with_tangents(camera.reduced(self.reduction), camera_from_world.to_torch(torch.float64), small)
 
     def _with_tangents(self, camera: Camera, pose: SE3, directions: Sequence[Direction]) -> tuple[Tensor, Tensor]:
         """Gray picture `[h, w]` and its tangents `[K, h, w]`."""

@@ -90,7 +90,7 @@ class RigLoss:
 
     def gradient(self, objective: Objective, indices: Sequence[int], x: Vector) -> Vector:
         """`[K]`: the gradient of the mean loss alone, in less time than `evaluate`."""
-        slopes = [objective.slopes(*motion) for motion in self._motions(objective, indices, x)]
+        slopes = [objective.products(*motion, curvature=False).slope for motion in self._motions(objective, indices, x)]
         return np.asarray(np.mean(slopes, axis=0))
 
     def _motions(
