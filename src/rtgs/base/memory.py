@@ -72,8 +72,7 @@ class Memory:
     @staticmethod
     def _shared(budget: int) -> Memory:
         left = budget - _PROGRAM_BYTES
-        images, reduced = int(0.4 * left), int(0.15 * left)
-        return Memory(images, reduced, left - images - reduced)
+        return Memory(int(0.45 * left), int(0.15 * left), int(0.25 * left))  # what is left over is for models of many Gaussians
 
     @staticmethod
     def warning(gigabytes: float | None) -> str:

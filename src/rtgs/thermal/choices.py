@@ -25,7 +25,7 @@ def choose_rows(data: ThermalFrames, settings: LinearSettings) -> tuple[int, Dec
     """How many rows of the photographs one is used of, so that about `settings.pixels` are fitted, and no more than fit into memory."""
     pixels = len(data) * data.valid.numel()
     enough = min(max(round(pixels / settings.pixels), 1), settings.most_rows)
-    fitting = math.ceil(2 * settings.bytes_per_pixel * pixels / settings.memory_bytes)
+    fitting = math.ceil(settings.bytes_per_pixel * pixels / (settings.images_share * settings.memory_bytes))
     every = min(max(enough, fitting), len(data.valid))
     if not bool(data.valid[every // 2 :: every].any()):
         return 1, Decision("rows", "all", f"No row of every {every}th has a valid pixel.")

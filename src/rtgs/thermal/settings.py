@@ -110,10 +110,12 @@ class LinearSettings:
     usual_passes: int = 40
     """Passes over all frames that most fits need; only for the progress display."""
     memory_bytes: int = 3 << 29
-    """Memory for what the fit keeps. Half of it may go to photographs and residuals, and the rest to the renderer's weights."""
+    """Memory for what the fit keeps."""
+    images_share: float = 0.75
+    """Share of it that photographs and residuals may take; the renderer's weights have the rest."""
     bytes_per_pixel: int = 64
-    """What the fit keeps for each pixel that is fitted, of all photographs together: sixteen images, at most. Where half of the memory
-    holds fewer pixels, more rows are passed over than `most_rows` says."""
+    """What the fit keeps for each pixel that is fitted, of all photographs together: sixteen images, at most. Where that share of the
+    memory holds fewer, more rows are passed over than `most_rows` says."""
     kept_bytes: int | None = None
     """Memory for the renderer's weights, in bytes; None: what photographs and residuals leave. Weights of views that do not fit are
     computed again at each use."""
