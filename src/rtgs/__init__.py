@@ -28,7 +28,7 @@ os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp tbb workqueue")
 
 if TYPE_CHECKING:
     from rtgs.base.errors import RtgsError
-    from rtgs.config import RgbConfig, ScaleConfig, SfmConfig, ThermalConfig
+    from rtgs.config import RgbConfig, ScaleConfig, SfmConfig, SpotsConfig, ThermalConfig
     from rtgs.evaluation.held_out import evaluate
     from rtgs.evaluation.records import Evaluation
     from rtgs.io.capture import load_capture
@@ -40,11 +40,12 @@ if TYPE_CHECKING:
     from rtgs.records.gaussians import Gaussians
     from rtgs.records.rig import Rig
     from rtgs.records.scene import Scene
+    from rtgs.records.spots import Spot, SpotList
     from rtgs.renderer import Direction, LinearRender, LinearViews, Render, RenderSettings, Tangents, render, render_with_tangents
     from rtgs.rgb.train import fit_rgb
     from rtgs.scale import ScaleEstimate, estimate_scale
     from rtgs.sfm.poses import run_sfm
-    from rtgs.thermal import fit_thermal, gaussian_temperatures
+    from rtgs.thermal import find_spots, fit_thermal, gaussian_temperatures
 
 _WHERE = {
     "base.errors": ("RtgsError",),
@@ -52,6 +53,7 @@ _WHERE = {
         "RgbConfig",
         "ScaleConfig",
         "SfmConfig",
+        "SpotsConfig",
         "ThermalConfig",
     ),
     "evaluation.held_out": ("evaluate",),
@@ -78,6 +80,10 @@ _WHERE = {
     "records.gaussians": ("Gaussians",),
     "records.rig": ("Rig",),
     "records.scene": ("Scene",),
+    "records.spots": (
+        "Spot",
+        "SpotList",
+    ),
     "renderer": (
         "Direction",
         "LinearRender",
@@ -95,6 +101,7 @@ _WHERE = {
     ),
     "sfm.poses": ("run_sfm",),
     "thermal": (
+        "find_spots",
         "fit_thermal",
         "gaussian_temperatures",
     ),
@@ -122,11 +129,15 @@ __all__ = [
     "SfmConfig",
     "Sim3",
     "Split",
+    "Spot",
+    "SpotList",
+    "SpotsConfig",
     "Tangents",
     "ThermalConfig",
     "ThermalModel",
     "estimate_scale",
     "evaluate",
+    "find_spots",
     "fit_rgb",
     "fit_thermal",
     "gaussian_temperatures",

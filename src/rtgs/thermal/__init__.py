@@ -2,6 +2,7 @@
 
 from rtgs.thermal.certainty import gaussian_temperatures
 from rtgs.thermal.frames import training_range
+from rtgs.thermal.spots import find_spots
 from rtgs.thermal.stage import fit_thermal
 
-__all__ = ["fit_thermal", "gaussian_temperatures", "training_range"]
+__all__ = ["find_spots", "fit_thermal", "gaussian_temperatures", "training_range"]
