@@ -21,7 +21,7 @@ from rtgs.records.radiometry import CELSIUS, LinearRange
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
-from rtgs.thermal.spots import Sighting, find_spots, joined, meeting_point
+from rtgs.thermal.spots import Sighting, area_on_surface, find_spots, joined, meeting_point
 
 CAMERA = Camera("PINHOLE", 96, 80, 110.0, 110.0, 48.0, 40.0)
 RIG = Rig(CAMERA, CAMERA, SE3(np.eye(3), np.array([0.1, 0.0, 0.0])))
@@ -141,7 +141,7 @@ def sighting(frame: str, eye_x: float, at: tuple[float, float], *, off: float = 
     """From (eye_x, 0, −1.5) to a place of the wall z = 0; the model's depth is wrong by a share `off`."""
     eye, place = np.array([eye_x, 0.0, -1.5]), np.array([*at, 0.0])
     centre: NDArray[np.float64] = eye + (1 + off) * (place - eye)
-    return Sighting(frame, 1, eye, centre, area, 0.005, 12, 30.0, 28.0, 20.0, 30.5)
+    return Sighting(frame, 1, eye, centre, np.array([0.0, 0.0, 1.0]), area, 0.005, 12, 30.0, 28.0, 20.0, 30.5)
 
 
 def test_sightings_are_joined_where_their_rays_meet() -> None:
@@ -153,6 +153,13 @@ def test_sightings_are_joined_where_their_rays_meet() -> None:
     for group, place in zip(groups, (here, there), strict=True):
         np.testing.assert_allclose(meeting_point(group), [*place, 0.0], atol=2e-3)  # although the depths are 1 to 3 % off
     assert joined([]) == []
+
+
+def test_the_area_is_on_the_plane_that_the_views_agree_about() -> None:
+    ahead, slanting = sighting("a", 0.0, (0.0, 0.0), area=0.01), sighting("b", 1.5, (0.0, 0.0), area=0.01 / math.sqrt(2))
+    noisy = replace(sighting("c", 0.0, (0.0, 0.0), area=0.01), normal=np.array([0.6, 0.0, 0.8]))
+    assert [area_on_surface([s]) for s in (ahead, slanting)] == pytest.approx([0.01, 0.01])
+    assert area_on_surface([ahead, slanting, noisy]) == pytest.approx(0.01, rel=0.05)
 
 
 def test_two_spots_side_by_side_stay_two() -> None:

@@ -42,7 +42,8 @@ class Sighting:
 
     Attributes:
         sign: 1 hot, −1 cold.
-        eye: where the camera is. centre: of the spot, by the model's depth.
+        eye: where the camera is. centre: of the spot, by the model's depth. normal: of the model's surface there.
+        area: across the ray.
         pixel: width of a pixel at its distance. pixels: how many it has.
         extreme, mean, surroundings, modelled: temperatures, as in `Spot`.
     """
@@ -51,6 +52,7 @@ class Sighting:
     sign: int
     eye: Floats
     centre: Floats
+    normal: Floats
     area: float
     pixel: float
     pixels: int
@@ -135,6 +137,15 @@ def meeting_point(group: Sequence[Sighting]) -> Floats:
     return np.asarray(np.linalg.solve(information, pull), dtype=np.float64)
 
 
+def area_on_surface(group: Sequence[Sighting]) -> float:
+    """Median over the views, on the plane that they agree about best: a single view's depth is too noisy for the slant."""
+    normals = np.stack([s.normal for s in group])
+    plane = np.linalg.eigh(normals.T @ normals)[1][:, 2]
+    rays = np.stack([(s.centre - s.eye) / np.linalg.norm(s.centre - s.eye) for s in group])
+    slants = np.maximum(np.abs(rays @ plane), _STEEPEST)
+    return float(np.median(np.array([s.area for s in group]) / slants))
+
+
 def _thresholds(scene: Scene, model: ThermalModel, config: SpotsConfig) -> tuple[dict[int, float] | None, str]:
     """Sign → temperature beyond which everything counts; None where the excess decides. And the criterion in words."""
     above, below, unit = config.above, config.below, model.unit
@@ -173,7 +184,12 @@ def _in_view(
             regions = list(regions_by_threshold(image, depth, sign * thresholds[sign])) if sign in thresholds else []
         for region in regions:
             measured = _measured(region, frame.name, sign, image, sign * shown.astype(np.float64), local, camera.fl_x)
-            yield replace(measured, eye=world_from_thermal.translation, centre=world_from_thermal.apply(measured.centre))
+            yield replace(
+                measured,
+                eye=world_from_thermal.translation,
+                centre=world_from_thermal.apply(measured.centre),
+                normal=world_from_thermal.rotation @ measured.normal,
+            )
 
 
 def _measured(region: Region, frame: str, sign: int, image: Floats, shown: Floats, local: Floats, focal: float) -> Sighting:
@@ -190,17 +206,16 @@ def _measured(region: Region, frame: str, sign: int, image: Floats, shown: Float
     around = around[np.isfinite(around).all(axis=1)]
     centred = around - np.median(around, axis=0)
     normal = np.linalg.svd(centred, full_matrices=False)[2][2]
-    views = points / np.linalg.norm(points, axis=1, keepdims=True)
-    slant = np.maximum(np.abs(views @ normal), _STEEPEST)
     pixel = points[:, 2] / focal
     # A pixel's solid angle shrinks towards the image's border by the cube of the cosine to the axis.
-    areas = pixel**2 * views[:, 2] / slant
+    areas = pixel**2 * points[:, 2] / np.linalg.norm(points, axis=1)
     weights = np.maximum(image[own] - region.surroundings, 1e-6) * areas
     return Sighting(
         frame,
         sign,
         np.zeros(3),
         np.asarray((weights[:, None] * points).sum(0) / weights.sum()),
+        normal,
         float(areas.mean()) * region.area_px,
         float(np.median(pixel)),
         len(points),
@@ -226,7 +241,7 @@ def _spot(group: Sequence[Sighting], scene: Scene, sfm_per_metre: float) -> Spot
     return Spot(
         kind="hot" if group[0].sign > 0 else "cold",
         position_m=(x, y, z),
-        area_m2=median("area") / float(scene.world_per_metre(sfm_per_metre)) ** 2,
+        area_m2=area_on_surface(group) / float(scene.world_per_metre(sfm_per_metre)) ** 2,
         extreme=median("extreme"),
         mean=median("mean"),
         surroundings=median("surroundings"),
