@@ -163,7 +163,13 @@ def test_the_area_is_on_the_plane_that_the_views_agree_about() -> None:
 
 
 def test_two_spots_side_by_side_stay_two() -> None:
-    some = [sighting(n, x, (at, 0.0)) for n, x in (("a", -0.5), ("b", 0.0), ("c", 0.6)) for at in (0.0, 0.1)]
-    assert sorted(len(g) for g in joined(some)) == [3, 3]
-    apart = joined([sighting("a", -0.5, (0.0, 0.0)), sighting("b", 0.0, (0.0, 0.0), off=0.1)])
-    assert len(apart) == 2  # the depths are too far from each other for one place
+    """Beside each other along the way of the cameras, all rays meet; across it, they do not."""
+    views = (("a", -0.5), ("b", 0.0), ("c", 0.6))
+    for x, y in ((0.045, 0.0), (0.0, 0.045)):
+        some = [sighting(n, eye, at) for n, eye in views for at in ((0.0, 0.0), (x, y))]
+        assert sorted(len(g) for g in joined(some)) == [3, 3]
+    assert len(joined([sighting("a", -0.5, (0.0, 0.0)), sighting("b", 0.0, (0.0, 0.045))])) == 2  # the rays do not meet
+    assert (
+        len(joined([sighting("a", -0.5, (0.0, 0.0)), sighting("b", 0.0, (0.0, 0.0), off=0.045)])) == 2
+    )  # the depths do not agree
+    assert len(joined([sighting("a", -0.5, (0.0, 0.0)), sighting("b", 0.0, (0.0, 0.0), off=0.03)])) == 1

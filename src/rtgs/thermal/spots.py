@@ -104,8 +104,8 @@ def find_spots(
 def joined(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
     """Sightings in groups that are of one place.
 
-    Two of different views belong together where their rays pass each other within the larger radius, and where the model's depths agree to
-    their errors. Two of one view do where they lie within the larger radius.
+    Two of different views belong together where their rays pass each other within the larger radius, where the model's depths agree to
+    their errors, and where no other of these views lies nearer. Two of one view do where they lie within the larger radius.
     """
     if not sightings:
         return []
@@ -121,7 +121,17 @@ def joined(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
     one_view = sine < 1e-6
     one_view |= np.array([sightings[i].frame == sightings[j].frame for i, j in zip(a, b, strict=True)], dtype=bool)
     near = (apart <= larger) | (~one_view & (passing <= larger) & (apart <= np.maximum(depth_error[a], depth_error[b])))
-    graph = coo_array((np.ones(near.sum()), (a[near], b[near])), shape=(len(sightings), len(sightings)))
+    a, b, apart = a[near], b[near], apart[near]
+    nearest: dict[tuple[int, str], float] = {}
+    for i, j, distance in zip((*a, *b), (*b, *a), (*apart, *apart), strict=True):
+        key = (int(i), sightings[j].frame)
+        nearest[key] = min(distance, nearest.get(key, np.inf))
+    mutual = [
+        d <= nearest[int(i), sightings[j].frame] and d <= nearest[int(j), sightings[i].frame]
+        for i, j, d in zip(a, b, apart, strict=True)
+    ]
+    a, b = a[mutual], b[mutual]
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(sightings), len(sightings)))
     count, labels = connected_components(graph, directed=False)
     return [[sightings[int(i)] for i in np.flatnonzero(labels == k)] for k in range(count)]
 
