@@ -14,12 +14,12 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.events import nobody
 from rtgs.cli import main
 from rtgs.cli.table import all_commands, experiment_commands
-from rtgs.config import ManualConfig, RunConfig
+from rtgs.config import ManualConfig, RgbConfig, RunConfig
 from rtgs.config.ranges import Range, ranges_of
 
 
 def test_there_are_settings() -> None:
-    assert len(CONFIGS) == 10 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
+    assert len(CONFIGS) == 11 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
 
 
 @pytest.mark.parametrize(("config", "name"), NUMERIC, ids=lambda v: getattr(v, "__name__", v))
@@ -73,3 +73,5 @@ def test_the_command_line_refuses_in_one_line(capsys: pytest.CaptureFixture[str]
             main(["run", "capture", "--out", "run", flag, value])
         error = capsys.readouterr().err
         assert stop.value.code == 2 and value in error and error.startswith("error: ") and error.count("\n") == 1
+    with pytest.raises(RtgsError, match=r"rgb\.steps is 9{60}; it is"):
+        RgbConfig(steps=int("9" * 400))

@@ -29,7 +29,7 @@ class Kill:
 def kill_and_resume(
     arguments: list[str], run: Path, whole: dict[str, str], moments: list[tuple[signal.Signals, float]]
 ) -> list[Kill]:
-    """Kill `rtgs run` at these moments, one after the other, then let it end.
+    """Kill `rtgs run` at these moments, one after the other until it has ended by itself, then let it end.
 
     Args:
         arguments: of the run; run: its folder.
@@ -42,6 +42,8 @@ def kill_and_resume(
         wrong += [f"stderr says {word}" for word in _DUMPS if word in errors]
         wrong += [f"process {p} is left" for p in left_behind(run)]
         kills.append(Kill(number, after_s, code, "; ".join(wrong)))
+        if code == 0:
+            break
     with rtgs(arguments) as process:
         errors = process.communicate(timeout=600)[1]
     now = results(run) if run.exists() else {}
@@ -56,7 +58,7 @@ def kill_and_resume(
 def campaign(
     arguments_for: Callable[[Path], list[str]], folder: Path, kills: int, *, seed: int = 0, a_run: int = 5
 ) -> list[Kill]:
-    """So many kills at random moments of runs, `a_run` of them on each.
+    """So many kills at random moments of runs at work, up to `a_run` on each. Those that came too late are not counted.
 
     Args:
         arguments_for: of a run in a given folder.
@@ -67,16 +69,15 @@ def campaign(
         errors = process.communicate(timeout=600)[1]
     assert process.returncode == 0, errors
     seconds = time.monotonic() - start
-    whole, done = results(folder / "whole"), list[Kill]()
-    while len(done) < kills:
+    whole, done, hit = results(folder / "whole"), list[Kill](), 0
+    while hit < kills:
         run = folder / f"run-{len(done)}"
-        n = min(a_run, kills - len(done))
-        moments = [(SIGNALS[(len(done) + k) % 3], rng.uniform(0.3, 0.7 * seconds)) for k in range(n)]
+        n = min(a_run, kills - hit)
+        moments = [(SIGNALS[(hit + k) % 3], rng.uniform(0.3, 0.7 * seconds)) for k in range(n)]
         done += kill_and_resume(arguments_for(run), run, whole, moments)
+        hit = sum(kill.code != 0 for kill in done)
         shutil.rmtree(run, ignore_errors=True)
-        print(
-            f"{len(done)} kills, {sum(bool(k.wrong) for k in done)} wrong", *(k.wrong for k in done[-n:] if k.wrong), flush=True
-        )
+        print(f"{hit} kills, {sum(bool(k.wrong) for k in done)} wrong", flush=True)
     return done
 
 

@@ -33,9 +33,13 @@ def results(run: Path) -> dict[str, str]:
 
 
 def rtgs(arguments: list[str]) -> subprocess.Popen[str]:
-    """`rtgs` as a process."""
+    """`rtgs` as a process that hears Ctrl-C, which a process in the background of a shell does not."""
+
+    def hear() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     command = [sys.executable, "-m", "rtgs", *arguments]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=hear)
 
 
 def stopped(arguments: list[str], number: int, after_s: float) -> tuple[int, str]:

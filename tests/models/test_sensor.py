@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.helpers.thermal_scenes import RIG, SFM_PER_METRE, fitted_ring, ring
 
+from rtgs.base.errors import RtgsError
 from rtgs.models import SensorModel
 from rtgs.models.sensor import predicted_drift
 
@@ -18,7 +19,7 @@ def test_a_pattern_belongs_to_its_sensor() -> None:
     plain = fitted_ring().render(RIG.thermal, pose)
     np.testing.assert_allclose(model.render(RIG.thermal, pose), plain)
     np.testing.assert_allclose(model.render(RIG.thermal, pose, photographed_in="003"), plain + 0.25, atol=1e-4)
-    with pytest.raises(ValueError, match="pattern"):
+    with pytest.raises(RtgsError, match="pattern"):
         model.render(RIG.thermal.resized(16, 16), pose, photographed_in="003")
 
 

@@ -105,3 +105,10 @@ def test_a_refused_setting_in_a_file_names_the_file(run: Path) -> None:
     path.write_text(text.replace('"init": null', '"init": -1.0'), encoding="utf-8")
     with pytest.raises(RtgsError, match=r"config\.json.*init"):
         RunFolder(run).read_config()
+
+
+def test_a_capture_that_no_folder_can_be_names_the_file(run: Path) -> None:
+    data = json.loads((run / "config.json").read_text(encoding="utf-8"))
+    (run / "config.json").write_text(json.dumps({**data, "capture": "ä" * 300}), encoding="utf-8")
+    with pytest.raises(RtgsError, match=r"config\.json: capture names no folder"):
+        RunFolder(run).read_config()

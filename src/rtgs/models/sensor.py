@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.base.errors import RtgsError
+
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
@@ -51,14 +53,18 @@ class SensorModel:
         """`[h, w]`: the photograph that the sensor makes of an image `[h, w]` of the scene in a frame.
 
         Raises:
-            ValueError: the pattern is of another size than the image.
+            RtgsError: the pattern is of another size than the image.
         """
         gain, offset = self.drift_of(frame, level)
         photograph = gain * image.astype(np.float64) + offset
         if self.pattern is None:
             return photograph
         if self.pattern.shape != photograph.shape:
-            raise ValueError(f"a pattern of {self.pattern.shape} pixels cannot be added to an image of {photograph.shape}")
+            (height, width), (rows, columns) = self.pattern.shape, photograph.shape
+            raise RtgsError(
+                f"the thermal model's pattern has {width}×{height} pixels, and its camera {columns}×{rows}. It belongs to another camera: "
+                "remove thermal.json of the run, and run again."
+            )
         return np.asarray(photograph + self.pattern)
 
 

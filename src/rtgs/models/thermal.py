@@ -76,7 +76,7 @@ class ThermalModel:
                 None: the scene itself.
 
         Raises:
-            ValueError: the pattern is of another size than the camera that is to show it.
+            RtgsError: the pattern is of another size than the camera that is to show it.
         """
         with torch.no_grad():
             view = render(self.gaussians, camera, camera_from_world, settings=self.settings).over(self.background)

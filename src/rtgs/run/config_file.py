@@ -75,5 +75,8 @@ def read_config(run: Path) -> SavedRun:
     file = from_json(ConfigFile, data, str(path))
     relative = Path(os.path.normpath(run.resolve() / file.capture))  # an absolute path stays as it is
     absolute = Path(file.capture_absolute or relative)
-    capture = absolute if absolute.is_dir() and not relative.is_dir() else relative
+    try:
+        capture = absolute if absolute.is_dir() and not relative.is_dir() else relative
+    except OSError as error:
+        raise RtgsError(f"{path}: capture names no folder that there can be ({error.strerror}).") from error
     return SavedRun(capture, file.settings, file.capture_content, file.version)
