@@ -33,11 +33,12 @@ CASES = ((0.0, 1.0), (FAR, 1.0), (0.0, 1e-4), (0.0, 1e4), (FAR, 1e4), (FAR, 1e-4
 DIRECTION = np.array([1.0, -0.6, 0.02])  # of the move, as UTM coordinates have it: two large numbers and a small one
 
 
-def move_capture(capture: Path, out: Path, origin: float, unit: float) -> None:
-    """The same capture with every position p of its poses at unit · p + origin · `DIRECTION`."""
-    out.mkdir(parents=True)
+def move_capture(capture: Path, out: Path, origin: float, unit: float, every: int = 1) -> None:
+    """The same capture with every position p of its poses at unit · p + origin · `DIRECTION`; of its pairs, one in so many."""
     for name in ("rgb", "thermal"):
-        (out / name).symlink_to((capture / name).resolve())
+        (out / name).mkdir(parents=True)
+        for file in sorted((capture / name).resolve().iterdir())[::every]:
+            (out / name / file.name).symlink_to(file)
     shutil.copy(capture / "rig.json", out / "rig.json")
     shift = origin * DIRECTION
     if (capture / "sparse").is_dir():
@@ -78,11 +79,11 @@ def resolutions_apart(found: dict[str, NDArray[np.float64]], given: dict[str, ND
     return max(float(np.abs(found[name] - given[name]).max()) for name in found) / step
 
 
-def run_case(capture: Path, folder: Path, origin: float, unit: float, config: RunConfig) -> list[float]:
+def run_case(capture: Path, folder: Path, origin: float, unit: float, config: RunConfig, every: int = 1) -> list[float]:
     """Move, run and export. Returns the row's numbers."""
     moved, run, exported = folder / "capture", folder / "run", folder / "export"
     if not moved.exists():
-        move_capture(capture, moved, origin, unit)
+        move_capture(capture, moved, origin, unit, every)
     with Pipeline.start(moved, run, config) as pipeline:
         pipeline.run()
         shutil.rmtree(exported, ignore_errors=True)
@@ -100,7 +101,7 @@ def run_case(capture: Path, folder: Path, origin: float, unit: float, config: Ru
 COLUMNS = ("RGB PSNR", "SSIM", "thermal PSNR", "SSIM", "MAE", "scale ÷ unit", "half its interval")
 
 
-def table(name: str, capture: Path, out: Path, config: RunConfig) -> None:
+def table(name: str, capture: Path, out: Path, config: RunConfig, every: int = 1) -> None:
     """Print the rows of one capture."""
     print(
         f"| {name}: origin | unit | {' | '.join(COLUMNS)} | transforms.json | scene/ |\n|{'---:|' * (len(COLUMNS) + 4)}",
@@ -108,7 +109,7 @@ def table(name: str, capture: Path, out: Path, config: RunConfig) -> None:
     )
     first: list[float] = []
     for origin, unit in CASES:
-        row = run_case(capture, out / name / f"{origin:g}-{unit:g}", origin, unit, config)
+        row = run_case(capture, out / name / f"{origin:g}-{unit:g}", origin, unit, config, every)
         first = first or row
         cells = [f"{a:.5g}{'' if f'{a:.3g}' == f'{b:.3g}' else ' *'}" for a, b in zip(row, first, strict=True)][: len(COLUMNS)]
         print(f"| {origin:g} | {unit:g} | {' | '.join(cells)} | {row[-2]:.1f} | {row[-1]:.1f} |", flush=True)
@@ -119,6 +120,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--captures", type=Path, nargs="*", default=[])
+    parser.add_argument("--every", type=int, default=1, help="use one in so many pairs of the captures")
     parser.add_argument("--steps", type=int, default=600, help="of the RGB model")
     parser.add_argument("--rgb-max-side", type=int, default=160)
     parser.add_argument("--size", type=int, default=160, help="of the room's images")
@@ -127,8 +129,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     config = RunConfig(rgb_max_side=o.rgb_max_side, rgb=RgbConfig(quality="fast", steps=o.steps))
     room = o.out / "room" / "capture"
     write_capture(room, SynthConfig(scene="room", frames=o.frames, size=o.size, supersampling=1, thermal_clean=False))
-    for name, capture in {"room": room, **{c.resolve().name: c for c in o.captures}}.items():
-        table(name, capture, o.out, config)
+    table("room", room, o.out, config)
+    for capture in o.captures:
+        table(capture.resolve().name, capture, o.out, config, o.every)
     print("`*`: differs from the first row in its first three digits. Last columns: in steps of float64.", flush=True)
 
 
