@@ -59,6 +59,7 @@ PAGES = {
         Page("scale-verdict", "python benchmarks/scale_verdict.py --out {out}"),
         Page("imported-model", "python benchmarks/imported_model.py --out {out}"),
         Page("scale-halves", "python benchmarks/scale_splits.py {run}"),
+        Page("world-frame", "python benchmarks/world_frame.py --out {out} --captures {capture} --every 3"),
         Page("scale-speed", "python benchmarks/scale_speed.py {run}"),
         Page(
             "table3-room",
