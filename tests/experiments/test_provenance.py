@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rtgs import __version__
-from rtgs.config import DensifyConfig, ManualConfig, RealExperimentConfig, RgbConfig, SyntheticExperimentConfig, ThermalConfig
+from rtgs.config import DensifyConfig, ManualConfig, RealExperimentConfig, RgbConfig, SyntheticExperimentConfig
 from rtgs.experiments.provenance import Page, Provenance, command_line
 
 SYNTHETIC, REAL = SyntheticExperimentConfig(), RealExperimentConfig()
@@ -29,7 +29,7 @@ SYNTHETIC, REAL = SyntheticExperimentConfig(), RealExperimentConfig()
         ),
         (replace(REAL, manual=ManualConfig(("a b", "c"), 1.5)), " --manual.frames 'a b' c --manual.metres 1.5"),
         (replace(REAL, depth_model=Path("/home/somebody/models/small")), " --depth-model small"),  # no path of the machine
-        (replace(REAL, thermal=ThermalConfig(drift="auto")), " --thermal.drift auto"),
+        (replace(REAL, thermal=replace(REAL.thermal, drift="auto")), " --thermal.drift auto"),
     ],
 )
 def test_a_command_has_the_flags_that_differ(settings: SyntheticExperimentConfig | RealExperimentConfig, flags: str) -> None:

@@ -125,10 +125,10 @@ def test_too_few_frames_are_said(count: int) -> None:
     kept = [f.name for f in scene.train_frames][:count]
     some = replace(scene, world_from_rgb={n: scene.world_from_rgb[n] for n in kept})
     decisions = {d.name: d for d in fit_thermal(some, rgb, SFM_PER_METRE).decisions}
-    assert list(decisions) == ["rows", "drift", "pattern", "gains", "ridge"]
-    few = ("drift", "pattern", "gains", "ridge") if count == 2 else ("drift", "pattern", "gains")
+    assert list(decisions) == ["rows", "drift", "pattern", "gains", "ridge", "geometry"]
+    few = ("drift", "pattern", "gains", "ridge", "geometry") if count == 2 else ("drift", "pattern", "gains")
     for name in few:
-        assert decisions[name].choice in ("off", "none", "0.3") and "too few" in decisions[name].reason
+        assert decisions[name].choice in ("off", "none", "0.3", "frozen") and "too few" in decisions[name].reason
 
 
 def test_a_decision_has_the_errors_in_degrees() -> None:

@@ -91,8 +91,9 @@ class RealExperimentConfig:
     """left, top, right and bottom in thermal pixels: its mean temperature is shown beside the thermal image's"""
     region_frame: str | None = None
     """held-out frame of the region; None: the first"""
-    thermal: ThermalConfig = field(default_factory=lambda: ThermalConfig(drift="off"))
-    """the thermal fit of every row, without drift: "auto" decides row by row, and what a frame has of its own can hide a wrong scale"""
+    thermal: ThermalConfig = field(default_factory=lambda: ThermalConfig(geometry="frozen", drift="off"))
+    """the thermal fit of every row, on the frozen geometry, as the paper has it, and without drift: "auto" decides row by row, and what a
+    frame has of its own can hide a wrong scale"""
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -18,9 +18,9 @@ class ThermalConfig:
 
     solver: Literal["linear", "adam"] = "linear"
     """"linear": least squares by conjugate gradients. "adam": the paper's solver; the settings after `sh_degree` are for it alone."""
-    geometry: GeometrySetting = "frozen"
-    """"frozen": means, shapes and opacities of the RGB model (the paper's protocol). "follow": Gaussians are split where the thermal images
-    show more than RGB needed, and the thermal model has more of them than the RGB model (linear solver; RGB is not touched)."""
+    geometry: GeometrySetting = "follow"
+    """"follow": Gaussians are split where the thermal images show more than RGB needed, so that the thermal model has more of them than the
+    RGB model (linear solver). "frozen": the RGB model's Gaussians as they are, the paper's protocol."""
     drift: DriftSetting = "auto"
     """Drift of each photograph (linear solver): an offset, or a gain and an offset. "auto" decides it on validation frames, which are
     training frames that are left out of the fit meanwhile."""
