@@ -91,7 +91,8 @@ def test_a_run_writes_what_the_conventions_name(capture: Path, finished: Path) -
     assert set(scale["frames"]).isdisjoint(HELD_OUT) and len(scale["frames"]) == SYNTH.frames - len(HELD_OUT)
 
     metrics = strict_json(finished / "metrics.json")
-    for model, scores in (("rgb", ()), ("thermal", ("mae_c",)), ("thermal_naive", ("mae_c",))):
+    temperatures = ("mae_c", "peak_c", "peak_p90_c")
+    for model, scores in (("rgb", ()), ("thermal", temperatures), ("thermal_naive", temperatures)):
         assert set(metrics[model]) == {"psnr", "ssim", "lpips", "per_frame", *scores}
         assert set(metrics[model]["per_frame"]) == set(HELD_OUT)
     span = metrics["temperature_range_c"]
