@@ -38,7 +38,7 @@ def kill_and_resume(
     kills: list[Kill] = []
     for number, after_s in moments:
         code, errors = stopped(arguments, number, after_s)
-        wrong = [] if code in (EXIT_CODES[number], 0) else [f"exit code {code}: {errors[-300:]}"]
+        wrong = [] if code in (EXIT_CODES[number], 0) else [f"exit code {code}: {errors[-4000:]}"]
         wrong += [f"stderr says {word}" for word in _DUMPS if word in errors]
         wrong += [f"process {p} is left" for p in left_behind(run)]
         kills.append(Kill(number, after_s, code, "; ".join(wrong)))
@@ -49,7 +49,7 @@ def kill_and_resume(
     now = results(run) if run.exists() else {}
     differing = [f"{name} differs" for name in sorted({*now, *whole}) if now.get(name) != whole.get(name)]
     if process.returncode != 0:
-        differing = [f"resumed with exit code {process.returncode}: {errors[-300:]}"]
+        differing = [f"resumed with exit code {process.returncode}: {errors[-4000:]}"]
     if differing:
         kills[-1] = replace(kills[-1], wrong="; ".join([kills[-1].wrong, *differing]))
     return kills
