@@ -23,6 +23,7 @@ ROOMS = [
     "renderer",
     "models",
     "io",
+    "calibration",
     "synthetic",
     "sfm",
     "rgb",

@@ -15,7 +15,7 @@ from rtgs.base.events import Event, ResultLine, WarningLine, WorkStarted, long_w
 from rtgs.cli import main
 from rtgs.cli.commands.demo import demonstrate
 from rtgs.cli.options import saved_settings
-from rtgs.cli.table import all_commands, experiment_commands
+from rtgs.cli.table import all_commands, calibrate_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
 from rtgs.config import RunConfig, ScaleConfig, SynthConfig
 from rtgs.run.config_file import SavedRun, write_config
@@ -33,8 +33,10 @@ ARGUMENTS = {
     "import": ["{flir,dji", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],
     "demo": ["--out"],
+    "calibrate": ["target"],
     "experiment": ["synthetic"],
 }
+CALIBRATIONS = {"target": ["PATH", "--out", "--inner-corners", "--square-m", "--board", "--marker-m", "--dictionary"]}
 EXPERIMENTS = {
     "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--rgb.quality", "--workers"],
     "real": ["PATH", "--out", "--manual.frames", "--depth-model", "--mast3r-weights", "--plane-m", "--region", "--thermal.drift"],
@@ -70,21 +72,30 @@ def test_help_of_a_command_names_its_arguments(command: str, capsys: pytest.Capt
     text = capsys.readouterr().out
     for argument in ARGUMENTS[command]:
         assert argument in text, argument
-    assert "(required)" in text or command in ("demo", "experiment")
+    assert "(required)" in text or command in ("demo", "calibrate", "experiment")
     assert "--config" not in text  # settings are flags without a prefix
 
 
-@pytest.mark.parametrize("command", EXPERIMENTS)
-def test_help_of_an_experiment_names_its_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert code_of(["experiment", command, "--help"]) == 0
+@pytest.mark.parametrize(
+    ("group", "command", "arguments"),
+    [
+        *(("calibrate", command, arguments) for command, arguments in CALIBRATIONS.items()),
+        *(("experiment", command, arguments) for command, arguments in EXPERIMENTS.items()),
+    ],
+)
+def test_help_of_a_command_in_a_group_names_its_arguments(
+    group: str, command: str, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert code_of([group, command, "--help"]) == 0
     text = capsys.readouterr().out
-    for argument in EXPERIMENTS[command]:
+    for argument in arguments:
         assert argument in text, argument
-    assert "(required)" in text and f"rtgs experiment {command}" in text
+    assert "(required)" in text and f"rtgs {group} {command}" in text
 
 
 def test_commands_are_those_tested() -> None:
     assert set(all_commands(RunConfig(), nobody)) == set(ARGUMENTS)
+    assert set(calibrate_commands(nobody)) == set(CALIBRATIONS)
     assert set(experiment_commands(nobody)) == set(EXPERIMENTS)
 
 

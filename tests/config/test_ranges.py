@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from tests.helpers.settings_out_of_range import CONFIGS, NUMERIC, outside, with_number
+from tests.helpers.settings_out_of_range import CONFIGS, NEEDED, NUMERIC, outside, with_number
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import nobody
@@ -19,17 +19,18 @@ from rtgs.config.ranges import Range, ranges_of
 
 
 def test_there_are_settings() -> None:
-    assert len(CONFIGS) == 11 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
+    assert len(CONFIGS) == 12 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
 
 
 @pytest.mark.parametrize(("config", "name"), NUMERIC, ids=lambda v: getattr(v, "__name__", v))
 def test_every_numeric_setting_has_a_range_and_keeps_it(config: type, name: str) -> None:
     allowed, hint = ranges_of(config)[name], typing.get_type_hints(config)[name]
+    needed = NEEDED.get(config, {})
     for second, part in ((False, allowed), (True, allowed.then)):
         for value in outside(part) if part else ():
             with pytest.raises(RtgsError, match=rf"{name} is .*; it is "):
-                config(**{name: with_number(hint, value, second)})
-    config()  # the defaults are in their ranges
+                config(**{**needed, name: with_number(hint, value, second)})
+    config(**needed)  # the defaults are in their ranges
 
 
 def test_limits_themselves() -> None:

@@ -19,10 +19,11 @@ from rtgs.base.events import Listener, to_all
 from rtgs.base.files import reason
 from rtgs.cli.options import saved_settings
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
-from rtgs.cli.table import all_commands, experiment_commands
+from rtgs.cli.table import all_commands, calibrate_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
 
 _ABOUT = "From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both."
+_ABOUT_CALIBRATE = "A rig from pictures."
 _ABOUT_EXPERIMENT = "The tables: this method and its rivals, on scenes whose truth is known and on captures."
 
 
@@ -80,6 +81,8 @@ def _run(arguments: Sequence[str], listener: Listener) -> None:
     table, prog, about = all_commands(saved_settings(arguments), listener), "rtgs", _ABOUT
     if arguments[:1] == ["experiment"]:
         table, prog, about, arguments = experiment_commands(listener), "rtgs experiment", _ABOUT_EXPERIMENT, arguments[1:]
+    if arguments[:1] == ["calibrate"]:
+        table, prog, about, arguments = calibrate_commands(listener), "rtgs calibrate", _ABOUT_CALIBRATE, arguments[1:]
     tyro.extras.subcommand_cli_from_dict(table, prog=prog, description=about, args=arguments or ["--help"])
 
 

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from rtgs.base.events import Listener
+from rtgs.cli.commands.calibrate import calibrate, target
 from rtgs.cli.commands.convert import import_photographs, make_synthetic
 from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.experiment import experiment, real, synthetic
@@ -38,7 +39,10 @@ def all_commands(saved: RunConfig, listener: Listener) -> Commands:
         "synth": partial(make_synthetic, config=SynthConfig()),
         "demo": demo,
     }
-    return {name: partial(command, listener=listener) for name, command in table.items()} | {"experiment": experiment}
+    return {name: partial(command, listener=listener) for name, command in table.items()} | {
+        "calibrate": calibrate,
+        "experiment": experiment,
+    }
 
 
 def experiment_commands(listener: Listener) -> Commands:
@@ -47,3 +51,8 @@ def experiment_commands(listener: Listener) -> Commands:
         "synthetic": partial(synthetic, config=SyntheticExperimentConfig(), listener=listener),
         "real": partial(real, config=RealExperimentConfig(), listener=listener),
     }
+
+
+def calibrate_commands(listener: Listener) -> Commands:
+    """The commands behind `rtgs calibrate`."""
+    return {"target": partial(target, listener=listener)}

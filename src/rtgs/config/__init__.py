@@ -3,6 +3,7 @@
 Nothing heavy is imported here, so that the command line can show all settings before it loads torch.
 """
 
+from rtgs.config.calibration import BoardConfig, BoardKind
 from rtgs.config.experiments import (
     SYNTHETIC_TABLES,
     ManualConfig,
@@ -27,6 +28,8 @@ __all__ = [
     "SCENES",
     "SYNTHETIC_TABLES",
     "Backend",
+    "BoardConfig",
+    "BoardKind",
     "DensifyConfig",
     "DriftKind",
     "DriftSetting",
