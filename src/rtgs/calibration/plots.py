@@ -65,4 +65,4 @@ def residual_plots(
         right.grid(alpha=0.3)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=100)
-        save_png(folder / f"residuals_{which}.png", np.asarray(Image.open(buffer).convert("RGB")))
+        save_png(folder / f"residuals_{which}.png", np.asarray(Image.open(buffer, formats=("PNG",)).convert("RGB")))
