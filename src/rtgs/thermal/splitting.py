@@ -15,8 +15,8 @@ SHIFT = 0.85
 √(1 − shift²), about half. Chosen by the error of held-out synthetic views with as many Gaussians: at 0.8 more splits are needed for small
 things, at 0.9 the pair has a dip in the middle."""
 OPACITY = 0.875
-"""Opacity of a child as a share of its parent's: the pair's composited alpha is then closest to the parent's in the mean square, within a
-hundredth at any opacity."""
+"""Opacity of a child as a share of its parent's. With it the pair's composited alpha is closest to the parent's in the mean square; the
+best share lies between 0.874 and 0.878 at any opacity. A pair is still 36 to 38 % (root mean square) off its parent."""
 
 
 def split(gaussians: Gaussians, which: Tensor) -> tuple[Gaussians, Tensor]:
