@@ -47,11 +47,20 @@ def processes_of(work: Path) -> list[int]:
     found = []
     for process in Path("/proc").iterdir():
         try:
-            if any(str(work) in str(file.readlink()) for file in (process / "fd").iterdir()):
-                found.append(int(process.name))
-        except (OSError, ValueError):
+            files = list((process / "fd").iterdir())
+        except OSError:  # no process, another user's, or it has just ended
             continue
+        if any(str(work) in target(file) for file in files):
+            found.append(int(process.name))
     return found
+
+
+def target(file: Path) -> str:
+    """Where a link points to; empty where it is gone by now."""
+    try:
+        return str(file.readlink())
+    except OSError:
+        return ""
 
 
 PROGRAM = """
@@ -70,9 +79,9 @@ def test_no_process_is_left_behind(room: Path, tmp_path: Path, number: signal.Si
     command = [sys.executable, "-c", PROGRAM, str(room), str(work)]
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
         deadline = time.monotonic() + 60
-        while not processes_of(work) and time.monotonic() < deadline:
+        while not (others := processes_of(work)) and time.monotonic() < deadline:
             time.sleep(0.01)
-        (other,) = processes_of(work)
+        (other,) = others
         assert other != process.pid
         process.send_signal(number)
         process.wait(30)
