@@ -60,3 +60,14 @@ def test_threads_get_the_right_images() -> None:
         found = pool.map(lambda i: float(cache.get(i, lambda: image(i)).mean()), wanted)
         assert list(found) == wanted
     assert cache.bytes <= cache.max_bytes
+
+
+def test_a_cleared_store_makes_images_again() -> None:
+    cache = ImageCache(2 * IMAGE_BYTES)
+    before = cache.get("a", lambda: image(1))
+    cache.clear()
+    assert cache.bytes == 0
+    again = cache.get("a", lambda: image(1))
+    assert again is not before
+    np.testing.assert_array_equal(again, before)
+    assert cache.bytes == IMAGE_BYTES

@@ -45,3 +45,9 @@ class ImageCache:
             while self._bytes > self.max_bytes:
                 self._bytes -= self._images.popitem(last=False)[1].nbytes
         return image
+
+    def clear(self) -> None:
+        """Keep none. Each is made again when it is asked for."""
+        with self._lock:
+            self._images.clear()
+            self._bytes = 0

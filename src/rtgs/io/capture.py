@@ -109,6 +109,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
         poses=poses,
         warnings=tuple(warnings),
         rgb_upright=upright,
+        release_images=cache.clear,
     )
 
 

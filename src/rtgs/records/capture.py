@@ -105,6 +105,7 @@ class Capture:
         poses: what `transforms.json` or `sparse/0` says, or None: then SfM has to run.
         warnings: sentences for a person, on things that do not stop a run.
         rgb_upright: whether the orientation tags of the RGB files are applied; False where poses belong to the stored pixels.
+        release_images: gives the memory of images back that the frames keep. They are loaded again when they are asked for.
     """
 
     root: Path
@@ -117,6 +118,7 @@ class Capture:
     poses: Poses | None
     warnings: tuple[str, ...] = ()
     rgb_upright: bool = True
+    release_images: Callable[[], None] = lambda: None
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ class Job:
         with long_work(self.listener, name, title) as progress:
             yield progress
         self.seconds[name] = time.perf_counter() - start
+        self.capture.release_images()
         release()  # what this work has needed is not added to what the next one needs
 
     @contextmanager
