@@ -32,6 +32,7 @@ ROOMS = [
     "evaluation",
     "run",
     "experiments",
+    "viewer",
     "cli",
 ]
 

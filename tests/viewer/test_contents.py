@@ -1,0 +1,77 @@
+"""What is read of runs that are whole, half finished, damaged or going on."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.helpers.viewed_wall import NAMES
+
+from rtgs.run.folder import RunFolder
+from rtgs.viewer.contents import PARTS, Contents, read_contents
+
+
+def test_a_whole_run_has_everything_and_nothing_to_say(contents: Contents) -> None:
+    assert contents.rgb and contents.thermal and contents.scale and contents.scene and not contents.messages
+    assert tuple(contents.scene.world_from_rgb) == NAMES and contents.metric
+
+
+def test_an_empty_folder_says_what_is_missing(tmp_path: Path) -> None:
+    found = read_contents(tmp_path / "nothing")
+    assert found.rgb is found.thermal is found.scale is found.scene is None
+    assert set(found.messages) >= set(PARTS)
+
+
+@pytest.mark.parametrize(
+    "name", ["rgb.ply", "thermal.ply", "rgb.json", "thermal.json", "scale.json", "scene/images.bin", "scene/world.json"]
+)
+def test_a_file_that_is_cut_off_gives_a_message(run: Path, name: str) -> None:
+    path = run / name
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    found = read_contents(run)
+    assert any(Path(name).name in text or "scene" in text for text in found.messages.values()), found.messages
+
+
+@pytest.mark.parametrize("name", ["rgb.ply", "thermal.ply", "scale.json"])
+def test_a_file_that_has_gone_gives_a_message_and_the_rest_is_there(run: Path, name: str) -> None:
+    (run / name).unlink()
+    found = read_contents(run)
+    assert found.messages
+    assert (found.rgb is None) == (name == "rgb.ply") and (found.thermal is None) == (name == "thermal.ply")
+
+
+def test_a_capture_that_has_gone_leaves_the_models(run: Path) -> None:
+    folder = RunFolder(run)
+    saved = folder.read_config()
+    away = run.parent / "capture"
+    shutil.copytree(saved.capture, away)
+    folder.write_config(type(saved)(away, saved.config))
+    shutil.rmtree(away)
+    found = read_contents(run)
+    assert found.rgb is not None and found.scene is None and "capture" in found.messages["scene"]
+
+
+def test_only_what_has_changed_is_read_again(run: Path) -> None:
+    before = read_contents(run)
+    (run / "scale.json").write_bytes((run / "scale.json").read_bytes() + b"\n")
+    after = read_contents(run, before=before)
+    assert after.rgb is before.rgb and after.thermal is before.thermal and after.scale is not before.scale
+
+
+def test_a_message_goes_once_the_file_is_whole(run: Path) -> None:
+    whole = (run / "thermal.json").read_bytes()
+    (run / "thermal.json").write_bytes(whole[:20])
+    before = read_contents(run)
+    assert before.thermal is None and "thermal" in before.messages
+    assert read_contents(run, before=before).messages == before.messages
+    (run / "thermal.json").write_bytes(whole)
+    after = read_contents(run, before=before)
+    assert after.thermal is not None and not after.messages
+
+
+def test_what_is_up_is_what_the_cameras_had_above_them(contents: Contents) -> None:
+    assert contents.up @ np.array([0.0, -1.0, 0.0]) > 0.95
+    lo, hi = contents.box
+    assert (hi > lo).all()
