@@ -28,6 +28,7 @@ ROOMS = [
     "sfm",
     "rgb",
     "scale",
+    "metres",
     "thermal",
     "evaluation",
     "run",

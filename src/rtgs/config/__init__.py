@@ -11,6 +11,7 @@ from rtgs.config.experiments import (
     SyntheticExperimentConfig,
     SyntheticTable,
 )
+from rtgs.config.metres import METRES_SOURCES, MetresConfig, TagsConfig
 from rtgs.config.rgb import QUALITIES, Backend, DensifyConfig, Quality, RgbConfig
 from rtgs.config.run import RunConfig
 from rtgs.config.scale import PAPER_EPSILON, PAPER_LEVEL_WEIGHTS, REFINABLE, ScaleConfig
@@ -21,6 +22,7 @@ from rtgs.config.thermal import DriftKind, DriftSetting, GeometrySetting, Therma
 
 __all__ = [
     "FEATURES",
+    "METRES_SOURCES",
     "PAPER_EPSILON",
     "PAPER_LEVEL_WEIGHTS",
     "QUALITIES",
@@ -35,6 +37,7 @@ __all__ = [
     "DriftSetting",
     "GeometrySetting",
     "ManualConfig",
+    "MetresConfig",
     "Quality",
     "RealExperimentConfig",
     "RgbConfig",
@@ -46,5 +49,6 @@ __all__ = [
     "SynthConfig",
     "SyntheticExperimentConfig",
     "SyntheticTable",
+    "TagsConfig",
     "ThermalConfig",
 ]

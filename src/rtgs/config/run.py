@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from rtgs.config.metres import MetresConfig
 from rtgs.config.ranges import Range, check_ranges
 from rtgs.config.rgb import RgbConfig
 from rtgs.config.scale import ScaleConfig
@@ -30,6 +31,8 @@ class RunConfig:
     """The RGB model."""
     scale: ScaleConfig = field(default_factory=ScaleConfig)
     """The metric scale."""
+    metres: MetresConfig = field(default_factory=MetresConfig)
+    """What lengths in metres rest on."""
     thermal: ThermalConfig = field(default_factory=ThermalConfig)
     """The thermal model."""
 

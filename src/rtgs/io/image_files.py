@@ -127,7 +127,7 @@ def read_header(path: Path) -> ImageHeader:
     Raises:
         RtgsError: the file isn't a readable image.
     """
-    with _opened(path) as image:
+    with opened(path) as image:
         bits = _bits(image)  # before EXIF is asked for: Pillow decodes a PNG for it, and then forgets
         time_s, no_data = _time_s(image.getexif()), _no_data(image)
         kind = image.format or "", image.mode, _orientation(image)
@@ -135,8 +135,11 @@ def read_header(path: Path) -> ImageHeader:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
+def opened(path: Path) -> Iterator[Image.Image]:
     """The image, before its pixels are decoded.
+
+    Raises:
+        RtgsError: the file is no image that is read, is too large, or is damaged.
 
     Pillow gets an open file and not a path: from a path it maps an uncompressed TIFF into memory, and it then uses the upright size
     for pixels that are stored sideways.
@@ -263,7 +266,7 @@ def check_rgb(path: Path) -> None:
     Raises:
         RtgsError: as `read_rgb`.
     """
-    with _opened(path) as image:
+    with opened(path) as image:
         _draft(image, 8)
         image.load()
         mode = image.mode
@@ -300,7 +303,7 @@ def read_counts(path: Path) -> NDArray[np.generic]:
 
 def _stored_numbers(path: Path, counts: NDArray[Any]) -> NDArray[Any]:
     """What the file holds, where Pillow's pixels are something else."""
-    with _opened(path) as image:
+    with opened(path) as image:
         if not isinstance(image, TiffImageFile):
             return counts
         bits, photometric = image.tag_v2.get(_TIFF_BITS), image.tag_v2.get(_TIFF_PHOTOMETRIC)
@@ -339,7 +342,7 @@ def write_upright(path: Path, target: Path) -> None:
 
 
 def _decode(path: Path, *, upright: bool = True, reduction: int = 1) -> Image.Image:
-    with _opened(path) as image:
+    with opened(path) as image:
         back = _STORED_FROM_UPRIGHT.get(_orientation(image))
         _draft(image, reduction)
         image.load()

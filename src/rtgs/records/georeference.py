@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -53,6 +53,10 @@ class Georeference:
     def up(self) -> Vector:
         """The direction of "up" in the given frame, of length 1."""
         return self.rotation[2]
+
+    def in_unit(self, factor: float) -> Georeference:
+        """The same for a frame in which all lengths are `factor` times larger: 1 / `metres_per_sfm` is then `factor` times as much."""
+        return replace(self, metres_per_sfm=self.metres_per_sfm / factor)
 
     def enu(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Metres east, north and up of the origin, of points `[..., 3]` in the given frame."""

@@ -24,6 +24,7 @@ class Spot:
         views: how many training photographs show it.
         best_frames: up to three frames that show it largest.
         modelled: the model's highest (lowest) temperature there. modelled_std: its standard error.
+        latitude_deg, longitude_deg, altitude_m: of the centre, in WGS 84; None where the photographs do not tell it.
     """
 
     kind: Literal["hot", "cold"]
@@ -37,6 +38,9 @@ class Spot:
     best_frames: tuple[str, ...]
     modelled: float
     modelled_std: float | None
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    altitude_m: float | None = None
 
     JSON_PROPERTIES: ClassVar = ("excess", "diameter_m", "model_differs")
 

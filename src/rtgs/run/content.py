@@ -15,6 +15,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.files import sha256_of
 from rtgs.base.json_records import from_json, read_json, write_json
 from rtgs.io.image_files import IMAGE_SUFFIXES
+from rtgs.io.metres_file import NAME as METRES
 from rtgs.io.rig import read_json_object, without_radiometry
 
 NAME = "hashes.json"
@@ -28,13 +29,14 @@ class Content:
     Attributes:
         files: path in the capture → SHA-256, of the pictures and poses that `load_capture` reads, and of no other file.
         cameras, radiometry: the two parts of `rig.json`. Another emissivity changes no pose and no RGB model.
-        rgb_ply: SHA-256 of the RGB model to import, if there is one.
+        rgb_ply: SHA-256 of the RGB model to import, if there is one. metres: of `metres.json`, likewise.
     """
 
     files: Mapping[str, str]
     cameras: Mapping[str, Any]
     radiometry: Mapping[str, Any]
     rgb_ply: str | None
+    metres: str | None = None
 
     @property
     def capture_hash(self) -> str:
@@ -105,9 +107,11 @@ def read_content(capture: Path, rgb_ply: Path | None, hashes: Hashes) -> Content
     cameras, radiometry = without_radiometry(read_json_object(capture / "rig.json", missing="It holds both cameras."))
     if rgb_ply is not None and not rgb_ply.is_file():
         raise RtgsError(f"{rgb_ply}: the RGB model that this run imports has gone. Put it back, or name another with --rgb-ply.")
+    metres = capture / METRES
     return Content(
         {name: hashes.of(p, name) for p in files for name in [p.relative_to(capture).as_posix()]},
         cameras,
         radiometry,
         None if rgb_ply is None else hashes.of(rgb_ply, str(rgb_ply)),
+        hashes.of(metres, METRES) if metres.is_file() else None,
     )

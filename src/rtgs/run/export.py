@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtgs.base.files import write_whole
+from rtgs.base.json_records import write_json
 from rtgs.io.colmap import write_scene
 from rtgs.io.ply import write_ply
 from rtgs.io.transforms import write_transforms
@@ -16,6 +17,8 @@ from rtgs.run.model_files import write_thermal_ply
 
 def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[Path]:
     """Write `rgb.ply`, `thermal.ply`, `transforms.json` (RGB poses, nerfstudio form) and `scene/` (COLMAP, both cameras as a rig).
+
+    Where the photographs say where they were taken, `georeference.json` leads from what is written to the Earth.
 
     Args:
         metres: multiply means, sizes, poses and points by `metres_per_sfm`; else everything is in the given frame, in SfM units.
@@ -38,4 +41,8 @@ def export(folder: RunFolder, scene: Scene, out: Path, *, metres: bool) -> list[
     write_transforms(out / "transforms.json", scene.rig.rgb, scaled.as_given().world_from_rgb, files)
     with write_whole(out / "scene") as temporary:
         write_scene(temporary, scaled, scale.sfm_per_metre * factor)
-    return [out / name for name in ("rgb.ply", "thermal.ply", "transforms.json", "scene")]
+    written = [out / name for name in ("rgb.ply", "thermal.ply", "transforms.json", "scene")]
+    if (place := folder.read_georeference()) is None:
+        return written
+    write_json(out / "georeference.json", place.in_unit(factor))
+    return [*written, out / "georeference.json"]

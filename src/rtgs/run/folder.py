@@ -17,6 +17,7 @@ from rtgs.io.colmap import read_scene, write_scene
 from rtgs.maths.geometry import Sim3
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.capture import Capture
+from rtgs.records.georeference import Georeference
 from rtgs.records.scene import Scene
 from rtgs.run import model_files
 from rtgs.run.config_file import SavedRun, is_run, read_config, write_config
@@ -249,6 +250,19 @@ class RunFolder:
             RtgsError: `scale.json` is missing or damaged.
         """
         return read_record(ScaleEstimate, self.path / "scale.json")
+
+    def write_georeference(self, place: Georeference) -> None:
+        """Write `georeference.json`."""
+        self.write_json("georeference.json", place)
+
+    def read_georeference(self) -> Georeference | None:
+        """Where on the Earth the scene is; None where the photographs do not tell it.
+
+        Raises:
+            RtgsError: `georeference.json` is damaged.
+        """
+        path = self.path / "georeference.json"
+        return read_record(Georeference, path) if path.exists() else None
 
     def write_json(self, name: str, data: Any) -> None:
         """Write a JSON file, whole or not at all."""

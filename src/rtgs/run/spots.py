@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from rtgs.base.csv_files import write_csv
 from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
+from rtgs.records.georeference import Georeference
 from rtgs.records.scene import Scene
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.folder import RunFolder, refuse_own_folders
@@ -19,6 +23,9 @@ COLUMNS = (
 )
 
 
+PLACE_COLUMNS = ("latitude_deg", "longitude_deg", "altitude_m")
+
+
 def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, *, progress: Progress | None = None) -> SpotList:
     """Find the spots of the run and write them to the folder `out`.
 
@@ -26,11 +33,21 @@ def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, 
         RtgsError: `out` is the run or lies in the capture, or the thermal model is missing.
     """
     refuse_own_folders(folder, scene, out)
-    found = find_spots(scene, folder.read_thermal(), config, progress=progress)
+    metres_per_sfm, place = folder.read_scale().metres_per_sfm, folder.read_georeference()
+    found = find_spots(scene, folder.read_thermal(), config, metres_per_sfm=metres_per_sfm, progress=progress)
+    if place is not None:
+        found = replace(found, spots=tuple(on_the_earth(spot, place, metres_per_sfm) for spot in found.spots))
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "spots.json", found)
-    write_csv(out / "spots.csv", COLUMNS, [row_of(i + 1, spot, found.reference) for i, spot in enumerate(found.spots)])
+    columns = COLUMNS if place is None else (*COLUMNS, *PLACE_COLUMNS)
+    write_csv(out / "spots.csv", columns, [row_of(i + 1, spot, found.reference) for i, spot in enumerate(found.spots)])
     return found
+
+
+def on_the_earth(spot: Spot, place: Georeference, metres_per_sfm: float) -> Spot:
+    """The spot with its latitude, longitude and altitude."""
+    latitude, longitude, altitude = place.places(np.array(spot.position_m) / metres_per_sfm).tolist()
+    return replace(spot, latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
 
 
 def spot_line(number: int, spot: Spot, unit: str) -> str:
@@ -44,7 +61,7 @@ def spot_line(number: int, spot: Spot, unit: str) -> str:
 
 
 def row_of(number: int, spot: Spot, reference: float | None) -> list[str]:
-    """The cells of a spot, one for each of `COLUMNS`."""
+    """The cells of a spot, one for each of `COLUMNS`, and of `PLACE_COLUMNS` where its place is known."""
 
     def text(value: float | None) -> str:
         return "" if value is None else f"{value:.6g}"
@@ -61,4 +78,9 @@ def row_of(number: int, spot: Spot, reference: float | None) -> list[str]:
         text(spot.modelled_std),
         "yes" if spot.model_differs else "no",
         " ".join(spot.best_frames),
+        *(
+            []
+            if spot.latitude_deg is None
+            else [f"{spot.latitude_deg:.9f}", f"{spot.longitude_deg:.9f}", f"{spot.altitude_m:.3f}"]
+        ),
     ]

@@ -95,12 +95,20 @@ def _make_rgb_model(job: Job) -> None:
 
 
 def _find_scale(job: Job) -> None:
+    from rtgs.metres import find_metres
+    from rtgs.run.summary import metres_lines
     from rtgs.scale import estimate_scale
 
     scene, model = job.scene, job.folder.read_rgb()
     with job.work("scale", TITLES["scale"]) as progress:
         estimate = estimate_scale(scene, model, job.config.scale, progress=progress)
+        found = find_metres(estimate.refined_scene(scene), estimate, job.config.metres, progress=progress)
+    estimate = replace(estimate, metres=found.metres)
+    if found.metres.disagreement:
+        job.warn(found.metres.disagreement)  # before anything else
     job.results.write_scale(estimate)
+    if found.georeference is not None:
+        job.results.write_georeference(found.georeference)
     job.results.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
     interval = f" (95 %: {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g})" if estimate.ci95 else ""
     job.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per metre{interval}, {estimate.status}")
@@ -109,6 +117,8 @@ def _find_scale(job: Job) -> None:
     for f in estimate.refinement.freedoms if estimate.refinement else []:
         known = "" if f.decided else ", which the images do not decide"
         job.say(f"  {f.name}: {f.mean:+.3g} ± {f.std:.2g} {f.unit} (calibration: ± {f.prior_std:.2g}){known}")
+    for line in metres_lines(found.metres):
+        job.say(line)
 
 
 def _fit_temperatures(job: Job) -> None:
@@ -168,10 +178,11 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="scale",
         title="metric scale",
-        settings=lambda config: config.scale,
-        inputs=lambda content: content.radiometry,
+        settings=lambda config: [config.scale, config.metres],
+        inputs=lambda content: [content.radiometry, content.metres],
         work=_find_scale,
         makes=("scale.json",),
+        may_make=("georeference.json",),
     ),
     Stage(
         name="thermal",

@@ -61,7 +61,7 @@ def render_views(
     if planck is not None:
         planck.reevaluated(np.zeros(1), **changes)  # limits, before any work
     rgb, thermal, scale = folder.read_rgb(), folder.read_thermal(), folder.read_scale()
-    world_per_metre = scene.world_per_metre(scale.sfm_per_metre)
+    world_per_metre = scene.world_per_metre(1 / scale.metres_per_sfm)
     camera = scene.rig.rgb if viewpoint == "rgb" else scene.rig.thermal
     chosen = list(names) or [f.name for f in scene.frames]
     out.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
+from rtgs.records.metres import Metres
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 
@@ -172,6 +173,7 @@ class ScaleEstimate:
         misfit_px: by how many thermal pixels the edges miss each other in a way that a turn of the thermal camera would mend and no scale
             does; 0 where the calibration is refined, or the answer was in doubt already.
         refinement: the calibration, where it was refined with the scale; `refined_scene` has it.
+        metres: what lengths in metres rest on; None where only these images were asked.
     """
 
     JSON_PROPERTIES: ClassVar[tuple[str, ...]] = ("metres_per_sfm",)
@@ -196,6 +198,7 @@ class ScaleEstimate:
     blur_px: float = 0.0
     misfit_px: float = 0.0
     refinement: Refinement | None = None
+    metres: Metres | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.sfm_per_metre < math.inf:
@@ -203,7 +206,23 @@ class ScaleEstimate:
 
     @property
     def metres_per_sfm(self) -> float:
-        return 1.0 / self.sfm_per_metre
+        """What lengths in SfM units are multiplied by.
+
+        It rests on all sources of metres. `sfm_per_metre` places the thermal cameras: its product with the baseline's length in `rig.json`
+        is what the images show.
+        """
+        combined = self.metres.sfm_per_metre if self.metres else None
+        return 1.0 / (self.sfm_per_metre if combined is None else combined)
+
+    @property
+    def doubt(self) -> str:
+        """Why lengths in metres should not be relied on; empty where they may be."""
+        if self.metres is not None and self.metres.disagreement:
+            return self.metres.disagreement
+        rests_elsewhere = (
+            self.metres is not None and self.metres.sfm_per_metre is not None and "baseline" not in self.metres.rests_on
+        )
+        return "" if self.status == "ok" or rests_elsewhere else self.reason
 
     def refined_scene(self, scene: Scene) -> Scene:
         """The scene whose rig belongs to this scale: as refined, or as it is where nothing was."""

@@ -73,7 +73,12 @@ class Sighting:
 
 
 def find_spots(
-    scene: Scene, model: ThermalModel, config: SpotsConfig | None = None, *, progress: Progress | None = None
+    scene: Scene,
+    model: ThermalModel,
+    config: SpotsConfig | None = None,
+    *,
+    metres_per_sfm: float | None = None,
+    progress: Progress | None = None,
 ) -> SpotList:
     """List the spots of a capture.
 
@@ -83,6 +88,7 @@ def find_spots(
 
     Args:
         config: what counts as a spot; None: the defaults.
+        metres_per_sfm: what lengths rest on; None: the scale that the model was fitted at.
         progress: called with (views done, views in all, the frame's name).
 
     Raises:
@@ -96,7 +102,8 @@ def find_spots(
         if progress is not None:
             progress(done + 1, len(scene.train_frames), frame.name)
     groups = [g for sign in (1, -1) for g in joined([s for s in sightings if s.sign == sign])]
-    spots = [_spot(g, scene, model.sfm_per_metre) for g in groups if len({s.frame for s in g}) >= config.fewest_views]
+    sfm_per_metre = model.sfm_per_metre if metres_per_sfm is None else 1 / metres_per_sfm
+    spots = [_spot(g, scene, sfm_per_metre) for g in groups if len({s.frame for s in g}) >= config.fewest_views]
     spots.sort(key=lambda s: -abs(s.excess))
     return SpotList(tuple(spots[: config.most]), model.unit, criterion, config.reference)
 

@@ -11,6 +11,8 @@ import pytest
 from tests.helpers.made_up_run import HELD_OUT, SFM_PER_METRE, estimate, make_run, page_of
 from tests.helpers.scale_scenes import RIG
 
+from rtgs.metres.combine import combine
+from rtgs.records.metres import MetresSource
 from rtgs.run.folder import RunFolder
 from rtgs.scale.records import Freedom, Minimum, Refinement, Scan
 
@@ -61,3 +63,38 @@ def test_what_was_refined_stands_in_a_table(tmp_path: Path) -> None:
     assert "thermal <focal> 0 ± 2 % −1.250 ± 0.300 % yes" in page.text  # escaped, and its cells in order
     assert "time offset 0 ± 0.289 frame intervals +0.010 ± 0.280 frame intervals no, as calibrated" in page.text
     assert "Without this the scale would be 1.2345" in page.text
+
+
+def with_sources(run: Path, *sources: MetresSource, absent: dict[str, str] | None = None) -> None:
+    RunFolder(run).write_scale(replace(estimate(), metres=combine(sources, absent)))
+
+
+def test_metres_from_one_source_have_no_section(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    with_sources(run, MetresSource("baseline", SFM_PER_METRE, 0.006, "edges"))
+    assert "What metres rest on" not in page_of(run).headings
+
+
+def test_metres_from_two_sources_stand_in_a_table_with_what_they_rest_on(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    gps = MetresSource("gps", 2.44, 0.01, "RTK of 40 <photographs>")
+    with_sources(run, MetresSource("baseline", SFM_PER_METRE, 0.006, "edges"), gps, absent={"board": "no image shows it"})
+    page = page_of(run)
+    assert "What metres rest on" in page.headings and "from baseline and gps" in page.text
+    assert "RTK of 40 <photographs>." in page.text and "no image shows it." in page.text
+    assert "disagree" not in page.text.split("What was run")[0]
+
+
+def test_sources_that_disagree_are_the_first_thing_that_is_said(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    with_sources(run, MetresSource("baseline", SFM_PER_METRE, 0.006, "edges"), MetresSource("gps", 2.9, 0.02, "RTK"))
+    first = page_of(run).text.split("One metre is")[0]
+    assert "Sources of metres disagree" in first and "gps 2.9" in first and "Scale found" not in first
+
+
+def test_metres_do_not_need_the_baseline(tmp_path: Path) -> None:
+    run, gps = make_run(tmp_path / "run"), MetresSource("gps", 2.9, 0.02, "RTK")
+    doubtful = replace(estimate(), status="unobservable", reason="flow is under half a pixel", ci95=None, std_log=None)
+    RunFolder(run).write_scale(replace(doubtful, metres=combine([gps], {"baseline": "flow is under half a pixel"})))
+    text = page_of(run).text
+    assert "One metre is 2.9 SfM units" in text and "Do not rely" not in text and "flow is under half a pixel" in text

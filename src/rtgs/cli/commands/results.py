@@ -86,5 +86,5 @@ def export_models(run: Folder, out: Path, listener: Hidden, metres: bool = False
     for path in export(folder, scene, out, metres=metres):
         listener(ResultLine(f"wrote {path}"))
     estimate = folder.read_scale()
-    if metres and estimate.status != "ok":
-        listener(WarningLine(f"these lengths may not be metres: {estimate.reason}"))
+    if metres and estimate.doubt:
+        listener(WarningLine(f"these lengths may not be metres: {estimate.doubt}"))

@@ -10,6 +10,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.files import reason, write_text_whole
 from rtgs.run.report.decisions import decisions_section
 from rtgs.run.report.inputs import inputs_section, warnings_section
+from rtgs.run.report.metres import metres_section
 from rtgs.run.report.metrics import metrics_section, timings_section
 from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.scale import scale_section
@@ -20,6 +21,7 @@ _SECTIONS = (
     verdict_header,
     inputs_section,
     scale_section,
+    metres_section,
     overlay_section,
     rgb_section,
     thermal_section,

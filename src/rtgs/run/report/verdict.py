@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 
 from rtgs.run.report.run_records import RunRecords
-from rtgs.run.report.values import length
+from rtgs.run.report.values import first_upper, length
 
 _STATUS = {
     "ok": ("good", "Scale found"),
@@ -33,14 +33,25 @@ def _scale(run: RunRecords) -> tuple[str, list[str]]:
     if scale is None:
         return '<span class="badge none">Scale not estimated yet</span>', ["This run has no scale so far."]
     colour, words = _STATUS[scale.status]
-    sentence = f"One metre is <strong>{scale.sfm_per_metre:.4g} SfM units</strong>"
-    if scale.ci95:
-        sentence += f" (95 % interval {scale.ci95[0]:.4g} to {scale.ci95[1]:.4g})"
-    if run.baseline_m:
+    metres = scale.metres if scale.metres is not None and scale.metres.sfm_per_metre is not None else None
+    elsewhere = metres is not None and metres.rests_on != ("baseline",)
+    interval = metres.ci95 if metres is not None and elsewhere else scale.ci95
+    sentence = f"One metre is <strong>{1 / scale.metres_per_sfm:.4g} SfM units</strong>"
+    if interval:
+        sentence += f" (95 % interval {interval[0]:.4g} to {interval[1]:.4g})"
+    if metres is not None and elsewhere:
+        sentence += f", from {' and '.join(html.escape(name) for name in metres.rests_on)}"
+    elif run.baseline_m:
         spans = run.baseline_m * scale.sfm_per_metre
         sentence += f"; the rig's baseline of {length(run.baseline_m)} spans {spans:.3g} of them"
     said = [sentence + "."]
-    if scale.status != "ok":
+    if metres is not None and metres.disagreement:
+        first = html.escape(first_upper(metres.disagreement))
+        return '<span class="badge poor">Sources of metres disagree</span>', [f"<strong>{first}</strong>", *said]
+    if scale.status != "ok" and not scale.doubt:
+        colour, words = "fair", "Metres without the baseline"
+        said.append(f"The thermal images do not show the scale: {html.escape(scale.reason.rstrip('.'))}.")
+    elif scale.status != "ok":
         reason = scale.reason.rstrip(".")
         said.append("Do not rely on this number" + (f": {html.escape(reason)}." if reason else "."))
     return f'<span class="badge {colour}">{html.escape(words)}</span>', said
