@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import rtgs.config
-from rtgs.config import BoardConfig, RunConfig
+from rtgs.config import BoardConfig, RunConfig, TagsConfig
 from rtgs.config.ranges import Range, ranges_of
 
 CONFIGS = [c for name in rtgs.config.__all__ for c in [getattr(rtgs.config, name)] if dataclasses.is_dataclass(c)]
 
 # What has no default, where the other settings are examined.
-NEEDED: dict[type, dict[str, Any]] = {BoardConfig: {"inner_corners": "6x5", "square_m": 0.1}}
+NEEDED: dict[type, dict[str, Any]] = {BoardConfig: {"inner_corners": "6x5", "square_m": 0.1}, TagsConfig: {"side_m": 0.1}}
 
 
 def kinds(hint: Any) -> set[type]:

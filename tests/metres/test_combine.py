@@ -40,7 +40,7 @@ def test_of_two_that_disagree_the_more_certain_one_counts_and_the_interval_holds
     two = [MetresSource("gps", 3.0, 0.02, ""), MetresSource("board", 2.5, 0.001, "")]
     together = combine(two)
     assert together.rests_on == ("board",) and together.sfm_per_metre == 2.5
-    assert "gps" in together.disagreement and together.std_log is not None and together.std_log > 0.005
+    assert "gps" in together.disagreement and together.ci95 is not None and together.ci95[1] == pytest.approx(3.0)
 
 
 def test_two_that_agree_are_weighted_by_their_variances() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from scipy.stats import chi2
 
-from rtgs.records.metres import Metres, MetresSource
+from rtgs.records.metres import NORMAL_95, Metres, MetresSource
 
 UNLIKELY = 0.01
 """Chance (χ² test) below which sources are said to disagree."""
@@ -17,7 +17,7 @@ def combine(sources: Sequence[MetresSource], absent: Mapping[str, str] | None = 
     """What the sources say together.
 
     Where they agree, all count. Otherwise the one that lies farthest from the others is left out until the rest agree; of two, the less
-    certain one is. The standard deviation then also holds how far apart all of them lie.
+    certain one is. The 95 % interval is then so wide that it reaches all of them.
     """
     absent = dict(absent or {})
     if not sources:
@@ -28,8 +28,7 @@ def combine(sources: Sequence[MetresSource], absent: Mapping[str, str] | None = 
     mean, std = _weighted(kept)
     disagreement = ""
     if len(kept) < len(sources):
-        worst = math.sqrt(sum((math.log(s.sfm_per_metre) - mean) ** 2 / s.std_log**2 for s in sources) / (len(sources) - 1))
-        std *= max(1.0, worst)
+        std = max(std, max(abs(math.log(s.sfm_per_metre) - mean) for s in sources) / NORMAL_95)
         disagreement = _said(sources, kept, chance)
     return Metres(
         sfm_per_metre=kept[0].sfm_per_metre if len(kept) == 1 else math.exp(mean),
@@ -73,7 +72,7 @@ def _said(sources: Sequence[MetresSource], kept: Sequence[MetresSource], chance:
     names = " and ".join(s.name for s in kept)
     why = "it has the smallest standard deviation" if len(kept) == 1 else "they agree with each other"
     return (
-        f"the sources of metres disagree. SfM units per metre are {each}; if all were right, they would be so far apart by a chance of "
-        f"{chance:.1g}. Lengths rest on {names}, since {why}. Find out which source is wrong, and correct it or leave it out "
-        "(--metres.sources)."
+        f"the sources of metres disagree. SfM units per metre are {each}; were all of them right, they would lie so far apart with a "
+        f"chance of {max(chance, 1e-9):.1g} or less. Lengths rest on {names}, since {why}. Find out which source is wrong, and correct "
+        "it or leave it out (--metres.sources)."
     )

@@ -55,6 +55,8 @@ def find_metres(
             sources += found
         elif found:
             absent[source.name] = found
+    if progress is not None:
+        progress(len(SOURCES), len(SOURCES), "metres")
     metres = combine(sources, absent)
     if "gps" not in evidence.config.sources or metres.sfm_per_metre is None:
         return Found(metres, None)
