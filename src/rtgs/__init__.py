@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from rtgs.scale import ScaleEstimate, estimate_scale
     from rtgs.sfm.poses import run_sfm
     from rtgs.thermal import find_spots, fit_thermal, gaussian_temperatures
+    from rtgs.viewer.start import view
 
 _WHERE = {
     "base.errors": ("RtgsError",),
@@ -105,6 +106,7 @@ _WHERE = {
         "fit_thermal",
         "gaussian_temperatures",
     ),
+    "viewer.start": ("view",),
 }
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 __all__ = [
@@ -146,6 +148,7 @@ __all__ = [
     "render",
     "render_with_tangents",
     "run_sfm",
+    "view",
     "write_ply",
 ]
 

@@ -29,6 +29,7 @@ ARGUMENTS = {
     "eval": ["the run folder"],
     "render": ["--out", "--frames", "--viewpoint"],
     "spots": ["--out", "--excess", "--above", "--below", "--percentile", "--reference", "--fewest-views"],
+    "view": ["--spots", "--host", "--port", "--no-browser"],
     "export": ["--out", "--metres"],
     "import": ["{flir,dji", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],

@@ -9,6 +9,7 @@ import pytest
 from tests.helpers.viewed_wall import NAMES, RIG, STD_C, TRUTH, truth_c, wall_eye
 from tests.helpers.wall_scene import PLANE_M
 
+from rtgs.models import SensorModel
 from rtgs.viewer.contents import Contents
 from rtgs.viewer.engine import Engine, Eye
 from rtgs.viewer.probe import photographs_of, probe
@@ -58,3 +59,27 @@ def test_a_run_without_a_thermal_model_or_scale_still_gives_places(contents: Con
     reading = probe(Engine(replace(contents, thermal=None, scale=None)), wall_eye(contents), 40.5, 30.5)
     assert reading is not None and reading.temperature is None and reading.std is None and reading.photographs == ()
     assert reading.position[2] == pytest.approx(TRUTH * PLANE_M, rel=0.01)  # SfM units
+
+
+def test_drift_and_pattern_are_taken_off_photographs(contents: Contents, engine: Engine) -> None:
+    """Photographs are made as the sensor of a model would show them; without its drift they show the scene again."""
+    scene, thermal = contents.scene, contents.thermal
+    assert scene is not None and thermal is not None
+    rng = np.random.default_rng(0)
+    pattern = rng.normal(0, 0.5, (RIG.thermal.height, RIG.thermal.width)).astype(np.float32)
+    drifting = replace(thermal, sensor=SensorModel({n: (1.02, 0.3 * i) for i, n in enumerate(NAMES)}, pattern))
+    frames = []
+    for frame in scene.frames:
+        pose = scene.thermal_from_world(frame.name, TRUTH)
+        frames.append(frame.with_thermal(drifting.render(RIG.thermal, pose, photographed_in=frame.name)))
+    capture = replace(scene.capture, frames=tuple(frames))
+    changed = Engine(replace(contents, thermal=drifting, scene=replace(scene, capture=capture)))
+    world = contents.world(np.array([0.05, 0.02, PLANE_M]))
+    for before, after in zip(photographs_of(engine, world), photographs_of(changed, world), strict=True):
+        assert before.frame == after.frame
+        assert after.steady == pytest.approx(before.value, abs=0.6)  # between pixels, whose pattern differs
+    steady = np.mean(
+        [p.steady - q.value for p, q in zip(photographs_of(changed, world), photographs_of(engine, world), strict=True)]
+    )
+    raw = np.mean([p.value - q.value for p, q in zip(photographs_of(changed, world), photographs_of(engine, world), strict=True)])
+    assert abs(steady) < 0.3 < abs(raw)

@@ -13,6 +13,7 @@ from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.experiment import experiment, real, synthetic
 from rtgs.cli.commands.results import export_models, render_images, spots
 from rtgs.cli.commands.run import rgb, run, scale, score, sfm, thermal
+from rtgs.cli.commands.view import view
 from rtgs.config import RealExperimentConfig, RunConfig, SpotsConfig, SynthConfig, SyntheticExperimentConfig
 
 Commands: TypeAlias = dict[str, Callable[..., Any]]
@@ -34,6 +35,7 @@ def all_commands(saved: RunConfig, listener: Listener) -> Commands:
         "eval": score,
         "render": render_images,
         "spots": partial(spots, config=SpotsConfig()),
+        "view": view,
         "export": export_models,
         "import": import_photographs,
         "synth": partial(make_synthetic, config=SynthConfig()),

@@ -120,6 +120,12 @@ class Engine:
                 _, seen_depth = _render(thermal.gaussians, thermal.background, _depth_only(thermal.settings), eye, pose)
             return Seen(eye, seen_rgb, seen_temperature, seen_depth)
 
+    def photographed(self, eye: Eye, frame: str) -> Floats | None:
+        """`[h, w]`: the scene as the thermal camera would show it in a frame, with its drift and pattern; None without a model."""
+        thermal = self.contents.thermal
+        with self._lock:
+            return None if thermal is None else thermal.render(eye.camera, eye.world_from_camera.inverse(), photographed_in=frame)
+
     def distance(self, eye: Eye, x: float, y: float) -> float:
         """World units along the ray through a pixel to the surface there, whatever is clipped; NaN where there is none."""
         model = self.contents.rgb or self.contents.thermal

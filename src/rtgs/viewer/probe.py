@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rtgs.models import ThermalModel
 from rtgs.records.scene import Scene
 from rtgs.viewer.engine import Engine, Eye
 
@@ -22,11 +23,13 @@ class PhotographReading:
     """What a thermal photograph shows at a place.
 
     Attributes:
-        frame: its name. value: in the capture's unit, as photographed. pixels_per_unit: how large it shows the place.
+        frame: its name. value: in the capture's unit, as photographed. steady: without the drift and the pattern of the sensor, as far
+            as the thermal model knows them. pixels_per_unit: how large it shows the place.
     """
 
     frame: str
     value: float
+    steady: float
     pixels_per_unit: float
 
 
@@ -58,8 +61,8 @@ class Reading:
 
     @property
     def photographed(self) -> float | None:
-        """Median of what the photographs show."""
-        return float(np.median([p.value for p in self.photographs])) if self.photographs else None
+        """Median of what the photographs show, without drift and pattern."""
+        return float(np.median([p.steady for p in self.photographs])) if self.photographs else None
 
 
 def probe(engine: Engine, eye: Eye, x: float, y: float) -> Reading | None:
@@ -114,4 +117,17 @@ def _reading(engine: Engine, scene: Scene, name: str, world: NDArray[np.float64]
         return None
     frame = next(f for f in scene.frames if f.name == name)
     value = cv2.getRectSubPix(frame.thermal, (1, 1), (float(x) - 0.5, float(y) - 0.5))[0, 0]
-    return PhotographReading(name, float(value), float(camera.fl_x / place[2]))
+    return PhotographReading(
+        name, float(value), _steady(engine.contents.thermal, name, value, x, y), float(camera.fl_x / place[2])
+    )
+
+
+def _steady(thermal: ThermalModel | None, frame: str, value: float, x: float, y: float) -> float:
+    """A photographed value without the sensor's drift and pattern: the inverse of `SensorModel.shown` at a pixel."""
+    if thermal is None:
+        return float(value)
+    span, (gain, offset) = thermal.color_range.linear, thermal.drift_of(frame)
+    signal = span.expand(thermal.color_range.normalise(np.array([value])))
+    pattern = thermal.sensor.pattern
+    fixed = 0.0 if pattern is None else float(pattern[int(y), int(x)])
+    return float(thermal.color_range.expand(span.normalise((signal - fixed - offset) / gain))[0])
