@@ -20,7 +20,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from rtgs.config import RgbConfig, RunConfig, SynthConfig
+from rtgs.config import ExportConfig, RgbConfig, RunConfig, SynthConfig
 from rtgs.io.colmap import quiet_colmap, read_sparse
 from rtgs.io.image_files import frame_name
 from rtgs.run.export import export
@@ -87,11 +87,12 @@ def run_case(capture: Path, folder: Path, origin: float, unit: float, config: Ru
     with Pipeline.start(moved, run, config) as pipeline:
         pipeline.run()
         shutil.rmtree(exported, ignore_errors=True)
-        export(pipeline.folder, pipeline.folder.read_scene(pipeline.capture), exported, metres=False)
+        settings = ExportConfig(formats=("colmap", "nerfstudio"), frame="sfm")
+        export(pipeline.folder, pipeline.folder.read_scene(pipeline.capture), exported, settings)
     scores, scale = json.loads((run / "metrics.json").read_text(encoding="utf-8")), RunFolder(run).read_scale()
     given = given_positions(moved)
-    apart = [resolutions_apart(positions_of_transforms(exported / "transforms.json"), given)]
-    apart.append(resolutions_apart(positions_of_model(exported / "scene"), given))
+    apart = [resolutions_apart(positions_of_transforms(exported / "nerfstudio" / "transforms.json"), given)]
+    apart.append(resolutions_apart(positions_of_model(exported / "colmap" / "sparse" / "0"), given))
     rgb, thermal = scores["rgb"], scores["thermal"]
     error = thermal.get("mae_c", thermal.get("mae_counts"))
     half_width = 0.0 if scale.std_log is None else 1.96 * scale.std_log

@@ -19,7 +19,7 @@ from rtgs.config.ranges import Range, ranges_of
 
 
 def test_there_are_settings() -> None:
-    assert len(CONFIGS) == 14 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
+    assert len(CONFIGS) == 15 and len(NUMERIC) > 50 and (RunConfig, "rgb_max_side") in NUMERIC
 
 
 @pytest.mark.parametrize(("config", "name"), NUMERIC, ids=lambda v: getattr(v, "__name__", v))

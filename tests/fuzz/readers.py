@@ -212,8 +212,9 @@ def _words(text: str) -> list[str]:
 
 
 _FLAGS = _words(
-    "--out --rgb --rig --frames --viewpoint --emissivity --reflected-c --metres --no-metres --rgb.steps --rgb.sh-degree --rgb.ssim-weight "
-    "--rgb.densify.every --scale.init --scale.bracket --scale.level-weights --scale.refine --thermal.drift --rgb-max-side --rgb-ply --seed "
+    "--out --rgb --rig --frames --viewpoint --emissivity --reflected-c --format --frame --program "
+    "--normal --rgb.steps --rgb.sh-degree --rgb.ssim-weight --rgb.densify.every --scale.init --scale.bracket "
+    "--scale.level-weights --scale.refine --thermal.drift --rgb-max-side --rgb-ply --seed "
     "--steps --init --size --scene --help --version --sfm.matching --quality --capture -h --"
 )
 _VALUES = (

@@ -18,6 +18,7 @@ from PIL import Image
 from rtgs.cli import main
 from rtgs.config import RunConfig
 from rtgs.io.capture import load_capture
+from rtgs.io.exports.frames import AXES_FROM_Z_UP, Axes, file_frame
 from rtgs.io.ply import read_ply, read_thermal_ply
 from rtgs.maths.geometry import quat_from_rotation
 from rtgs.maths.sh import C0
@@ -44,7 +45,7 @@ class Run(NamedTuple):
     folder: RunFolder
     scene: Scene
     truth: GroundTruth
-    exported: dict[bool, Path]  # by --metres
+    exported: dict[str, Path]  # by --frame
 
 
 def wall(scene: Scene) -> Gaussians:
@@ -101,60 +102,73 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         temperatures=known,
     )
     folder.write_thermal(thermal, scene.given_from_world)
-    exported = {metres: root / f"metres-{metres}" for metres in (False, True)}
-    for metres, out in exported.items():
-        main(["export", str(folder.path), "--out", str(out), *(["--metres"] if metres else [])])
+    exported = {frame: root / frame for frame in ("sfm", "metric")}
+    for frame, out in exported.items():
+        main(["export", str(folder.path), "--out", str(out), "--frame", frame, "--format", "ply", "colmap", "nerfstudio"])
     return Run(folder, scene, truth, exported)
 
 
-def length_unit(metres: bool) -> float:
+def length_unit(frame: str) -> float:
     """How many of the export's units a metre is."""
-    return 1.0 if metres else SFM_PER_METRE
+    return 1.0 if frame == "metric" else SFM_PER_METRE
 
 
-@pytest.mark.parametrize("metres", [False, True])
-def test_transforms_have_the_true_distances(run: Run, metres: bool) -> None:
-    data = json.loads((run.exported[metres] / "transforms.json").read_text())
+def turn(run: Run, frame: str, axes: Axes) -> np.ndarray:
+    """`[3, 3]`: from the truth's axes to the export's. The truth has z up, and its cameras nearly tell so."""
+    if frame == "sfm":
+        return np.eye(3)
+    rotation = file_frame(run.scene, 1 / SFM_PER_METRE, "metric", axes).from_world.rotation
+    np.testing.assert_allclose(rotation, AXES_FROM_Z_UP[axes], atol=0.02)
+    return rotation
+
+
+@pytest.mark.parametrize("frame", ["sfm", "metric"])
+def test_transforms_have_the_true_distances(run: Run, frame: str) -> None:
+    data = json.loads((run.exported[frame] / "nerfstudio" / "transforms.json").read_text())
+    turned = turn(run, frame, "z-up")
     found = {Path(f["file_path"]).stem: np.array(f["transform_matrix"]) for f in data["frames"]}
     assert list(found) == sorted(run.truth.world_from_rgb)
     for name, pose in run.truth.world_from_rgb.items():
-        np.testing.assert_allclose(found[name][:3, 3], length_unit(metres) * pose.translation, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found[name][:3, 3], length_unit(frame) * turned @ pose.translation, rtol=1e-9, atol=1e-9)
         # OpenGL: the camera looks along −z with y up.
-        np.testing.assert_allclose(found[name][:3, :3], pose.rotation * [1, -1, -1], atol=1e-9)
+        np.testing.assert_allclose(found[name][:3, :3], turned @ pose.rotation * [1, -1, -1], atol=1e-9)
     assert data["camera_model"] == "PINHOLE" and data["w"] == 40 and data["cx"] == 20
 
 
-@pytest.mark.parametrize("metres", [False, True])
-def test_colmap_scene_is_the_true_rig(run: Run, metres: bool) -> None:
-    model, unit = pycolmap.Reconstruction(run.exported[metres] / "scene"), length_unit(metres)
+@pytest.mark.parametrize("frame", ["sfm", "metric"])
+def test_colmap_scene_is_the_true_rig(run: Run, frame: str) -> None:
+    model, unit = pycolmap.Reconstruction(run.exported[frame] / "colmap" / "sparse" / "0"), length_unit(frame)
+    turned = turn(run, frame, "y-down")
     images = {image.name: image for image in model.images.values()}
     assert len(images) == 2 * len(run.truth.world_from_rgb)
     for name in run.truth.world_from_rgb:
         rgb, thermal = (images[f"{kind}/{name}.png"].projection_center() for kind in ("rgb", "thermal"))
-        np.testing.assert_allclose(rgb, unit * run.truth.world_from_rgb[name].translation, atol=1e-9)
-        np.testing.assert_allclose(thermal, unit * run.truth.world_from_thermal[name].translation, atol=1e-9)
+        np.testing.assert_allclose(rgb, unit * turned @ run.truth.world_from_rgb[name].translation, atol=1e-9)
+        np.testing.assert_allclose(thermal, unit * turned @ run.truth.world_from_thermal[name].translation, atol=1e-9)
         assert np.linalg.norm(thermal - rgb) == pytest.approx(unit * BASELINE_M)
         axes = images[f"thermal/{name}.png"].cam_from_world().inverse().rotation.matrix()
-        np.testing.assert_allclose(axes, run.truth.world_from_thermal[name].rotation, atol=1e-9)
+        np.testing.assert_allclose(axes, turned @ run.truth.world_from_thermal[name].rotation, atol=1e-9)
     (rig,) = model.rigs.values()
     (sensor_from_rig,) = rig.non_ref_sensors.values()
     assert np.linalg.norm(sensor_from_rig.translation) == pytest.approx(unit * BASELINE_M)
     xyz = np.array([model.points3D[i].xyz for i in sorted(model.points3D)])
-    np.testing.assert_allclose(xyz, run.scene.points.xyz * unit / SFM_PER_METRE)
+    np.testing.assert_allclose(xyz, run.scene.points.xyz @ turned.T * unit / SFM_PER_METRE, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["rgb", "thermal"])
 def test_only_lengths_of_a_model_change(run: Run, name: str) -> None:
     original = run.folder.read_rgb().gaussians if name == "rgb" else run.folder.read_thermal().gaussians
-    same, scaled = (read_ply(run.exported[metres] / f"{name}.ply") for metres in (False, True))
+    same, scaled = (read_ply(run.exported[frame] / f"{name}.ply") for frame in ("sfm", "metric"))
+    turned = turn(run, "metric", "y-down")
     for field, tensor in original.tensors().items():
         assert torch.equal(same.tensors()[field], tensor), field
-        if field not in ("means", "log_scales"):
+        if field == "opacity_logits":
             assert torch.equal(scaled.tensors()[field], tensor), field
-    torch.testing.assert_close(scaled.means, original.means / SFM_PER_METRE)
+    expected = original.means.numpy() @ turned.T / SFM_PER_METRE
+    np.testing.assert_allclose(scaled.means.numpy(), expected, rtol=1e-5, atol=1e-6)
     torch.testing.assert_close(scaled.log_scales, original.log_scales - math.log(SFM_PER_METRE))
     if name == "thermal":
-        ply = read_thermal_ply(run.exported[True] / "thermal.ply")
+        ply = read_thermal_ply(run.exported["metric"] / "thermal.ply")
         assert ply.celsius_range == (RANGE.lo, RANGE.hi)
         stored = run.folder.read_thermal().temperatures
         assert stored is not None and stored.std[0] == np.float32(0.1)
@@ -164,10 +178,12 @@ def test_only_lengths_of_a_model_change(run: Run, name: str) -> None:
 
 def test_another_reader_opens_the_model(run: Run) -> None:
     original = run.folder.read_rgb().gaussians
-    path = run.exported[True] / "rgb.ply"
+    path = run.exported["metric"] / "rgb.ply"
     cloud = trimesh.load(path)
     assert isinstance(cloud, trimesh.PointCloud) and len(cloud.vertices) == len(original)
-    np.testing.assert_allclose(cloud.vertices, original.means.numpy() / SFM_PER_METRE, rtol=1e-6)
+    np.testing.assert_allclose(
+        cloud.vertices, original.means.numpy() @ turn(run, "metric", "y-down").T / SFM_PER_METRE, atol=2e-6
+    )
 
     # And by hand, as a viewer's few lines do: a text header, then packed float32.
     header, body = path.read_bytes().split(b"end_header\n", 1)
@@ -203,9 +219,9 @@ def test_a_scale_that_was_not_observed_is_said(run: Run, tmp_path: Path, capsys:
     estimate = run.folder.read_scale()
     try:
         run.folder.write_scale(replace(estimate, status="unobservable", reason="nothing to see"))
-        main(["export", str(run.folder.path), "--out", str(tmp_path / "a"), "--metres"])
+        main(["export", str(run.folder.path), "--out", str(tmp_path / "a")])
         assert "nothing to see" in capsys.readouterr().out
-        main(["export", str(run.folder.path), "--out", str(tmp_path / "b")])
+        main(["export", str(run.folder.path), "--out", str(tmp_path / "b"), "--frame", "sfm"])
         assert "warning" not in capsys.readouterr().out
     finally:
         run.folder.write_scale(estimate)

@@ -171,8 +171,8 @@ def test_the_refined_rig_is_what_later_stages_see(capture: Path, run: Path) -> N
         assert len(seen[name]) == 2 and all(same(rig, refined) for rig in seen[name]), name
     assert same(folder.read_scene(load_capture(capture)).rig, refined)  # what render and export start from
     assert list(pycolmap.Reconstruction(str(run / "scene")).cameras[2].params[:2]) == [50.0, 51.0]
-    _, code = recorded(["export", str(run), "--out", str(run.parent / "export")])
-    model = pycolmap.Reconstruction(str(run.parent / "export" / "scene"))
+    _, code = recorded(["export", str(run), "--out", str(run.parent / "export"), "--format", "colmap"])
+    model = pycolmap.Reconstruction(str(run.parent / "export" / "colmap" / "sparse" / "0"))
     assert code == 0 and model.num_rigs() == 2 and list(model.cameras[2].params[:2]) == [50.0, 51.0]
     assert (capture / "rig.json").read_bytes() == rig_json
 

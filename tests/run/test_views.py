@@ -75,7 +75,7 @@ def test_render_and_export_refuse(capture: Path, run: Path, capsys: pytest.Captu
         (["render", str(run), "--out", str(run.parent / "x"), "--frames", "frame_099"], "frame_099"),
         (["render", str(run), "--out", str(capture / "rgb")], "inside the capture"),
         (["export", str(run), "--out", str(run)], "the run folder itself"),
-        (["export", str(run), "--out", str(capture), "--metres"], "inside the capture"),
+        (["export", str(run), "--out", str(capture), "--frame", "sfm"], "inside the capture"),
     ):
         with pytest.raises(SystemExit) as stop:
             main(arguments)

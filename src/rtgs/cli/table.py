@@ -11,10 +11,10 @@ from rtgs.cli.commands.calibrate import calibrate, target
 from rtgs.cli.commands.convert import import_photographs, make_synthetic
 from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.experiment import experiment, real, synthetic
-from rtgs.cli.commands.results import export_models, render_images, spots
+from rtgs.cli.commands.results import export_models, render_images, share, spots
 from rtgs.cli.commands.run import rgb, run, scale, score, sfm, thermal
 from rtgs.cli.commands.view import view
-from rtgs.config import RealExperimentConfig, RunConfig, SpotsConfig, SynthConfig, SyntheticExperimentConfig
+from rtgs.config import ExportConfig, RealExperimentConfig, RunConfig, SpotsConfig, SynthConfig, SyntheticExperimentConfig
 
 Commands: TypeAlias = dict[str, Callable[..., Any]]
 
@@ -36,7 +36,8 @@ def all_commands(saved: RunConfig, listener: Listener) -> Commands:
         "render": render_images,
         "spots": partial(spots, config=SpotsConfig()),
         "view": view,
-        "export": export_models,
+        "export": partial(export_models, config=ExportConfig()),
+        "share": share,
         "import": import_photographs,
         "synth": partial(make_synthetic, config=SynthConfig()),
         "demo": demo,

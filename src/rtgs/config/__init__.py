@@ -11,6 +11,7 @@ from rtgs.config.experiments import (
     SyntheticExperimentConfig,
     SyntheticTable,
 )
+from rtgs.config.export import ExportConfig, ExportFormat, ExportFrame, Plane, Program, ThermalColours
 from rtgs.config.metres import METRES_SOURCES, MetresConfig, TagsConfig
 from rtgs.config.rgb import QUALITIES, Backend, DensifyConfig, Quality, RgbConfig
 from rtgs.config.run import RunConfig
@@ -35,9 +36,14 @@ __all__ = [
     "DensifyConfig",
     "DriftKind",
     "DriftSetting",
+    "ExportConfig",
+    "ExportFormat",
+    "ExportFrame",
     "GeometrySetting",
     "ManualConfig",
     "MetresConfig",
+    "Plane",
+    "Program",
     "Quality",
     "RealExperimentConfig",
     "RgbConfig",
@@ -50,5 +56,6 @@ __all__ = [
     "SyntheticExperimentConfig",
     "SyntheticTable",
     "TagsConfig",
+    "ThermalColours",
     "ThermalConfig",
 ]

@@ -84,6 +84,10 @@ class Sim3:
     def identity() -> Sim3:
         return Sim3(1.0, np.eye(3), np.zeros(3))
 
+    def __matmul__(self, other: Sim3) -> Sim3:
+        """`a_from_b @ b_from_c = a_from_c`."""
+        return Sim3(self.factor * other.factor, self.rotation @ other.rotation, self.apply(other.translation))
+
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map points `[..., 3]` from frame b to frame a."""
         return self.factor * points @ self.rotation.T + self.translation

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 # The usual normalisation constants; the signs follow the 3DGS reference, so that its PLY files mean the same here.
@@ -23,6 +25,20 @@ C3 = (
 def coefficients(degree: int) -> int:
     """K = (degree + 1)²."""
     return (degree + 1) ** 2
+
+
+def turning(rotation: NDArray[np.float64], degree: int) -> Tensor:
+    """`[K, K]` float64: takes coefficients of a model to those of the same model turned by `rotation` `[3, 3]`.
+
+    The turned model shows in the direction `rotation @ d` what the model shows in `d`. Each band is closed under rotations, so the
+    coefficients that agree in enough directions agree in all.
+    """
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.nn.functional.normalize(
+        torch.randn(4 * coefficients(degree), 3, generator=generator, dtype=torch.float64), dim=1
+    )
+    before = directions @ torch.as_tensor(rotation, dtype=torch.float64)
+    return torch.linalg.lstsq(basis(directions, degree), basis(before, degree)).solution
 
 
 def basis(directions: Tensor, degree: int) -> Tensor:

@@ -5,8 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
+
+from rtgs.maths import sh
+from rtgs.maths.geometry import quat_from_rotation
 
 
 class Geometry(NamedTuple):
@@ -73,4 +78,18 @@ class Gaussians:
             self.log_scales + torch.log(torch.tensor(factor, dtype=self.log_scales.dtype)),
             self.opacity_logits,
             self.sh,
+        )
+
+    def turned(self, rotation: NDArray[np.float64]) -> Gaussians:
+        """The same model turned about the origin by `rotation` `[3, 3]`, its harmonics with it."""
+        dtype = self.means.dtype
+        turn = torch.as_tensor(rotation, dtype=torch.float64)
+        w, x, y, z = (float(v) for v in quat_from_rotation(rotation))
+        left = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]], dtype=torch.float64)
+        return Gaussians(
+            (self.means.double() @ turn.T).to(dtype),
+            (self.quats.double() @ left.T).to(dtype),
+            self.log_scales,
+            self.opacity_logits,
+            torch.einsum("jk,nkc->njc", sh.turning(rotation, self.sh_degree), self.sh.double()).to(dtype),
         )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import RUN_AGAIN, read_record, write_json
 from rtgs.images.pictures import save_tiff
+from rtgs.io.exports.gaussian_ply import write_thermal_ply
 from rtgs.io.image_files import read_counts
 from rtgs.io.ply import THERMAL_PROPERTIES, read_ply, read_thermal_ply, write_ply
 from rtgs.maths.geometry import Sim3
@@ -114,19 +115,6 @@ def read_thermal(run: Path, name: str, given_from_world: Sim3) -> ThermalModel:
         sensor=SensorModel(file.drift, _pattern(run, name, file.pattern)),
         temperatures=GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         decisions=file.decisions,
-    )
-
-
-def write_thermal_ply(path: Path, model: ThermalModel, given_from_world: Sim3) -> None:
-    """Write a thermal model; counts are no temperature and are not written as one."""
-    found, celsius = model.temperatures, model.unit == "°C"
-    known = (found.temperature, found.std, found.views) if found is not None and celsius else ()
-    write_ply(
-        path,
-        model.gaussians,
-        given_from_world=given_from_world,
-        celsius_range=(model.color_range.lo, model.color_range.hi) if celsius else None,
-        properties=dict(zip(THERMAL_PROPERTIES, known, strict=False)),
     )
 
 

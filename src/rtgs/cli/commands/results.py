@@ -1,13 +1,13 @@
-"""`rtgs render`, `rtgs spots` and `rtgs export`: what leaves a run."""
+"""`rtgs render`, `rtgs spots`, `rtgs export` and `rtgs share`: what leaves a run."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rtgs.base.events import ResultLine, WarningLine, long_work
+from rtgs.base.events import ResultLine, long_work
 from rtgs.cli.options import Flat, Folder, Hidden
-from rtgs.config import SpotsConfig
+from rtgs.config import ExportConfig, SpotsConfig
 
 _SHOWN = 20  # spots in the terminal; the files have all
 
@@ -70,21 +70,42 @@ def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener
         listener(ResultLine("  " + spot_line(number, spot, found.unit)))
 
 
-def export_models(run: Folder, out: Path, listener: Hidden, metres: bool = False) -> None:
-    """Write the models and poses for other programs.
+def export_models(run: Folder, out: Path, config: Annotated[ExportConfig, Flat], listener: Hidden) -> None:
+    """Write models, points, poses with photographs, or orthophotos for other programs.
 
     Args:
         run: the run folder.
-        out: folder for rgb.ply, thermal.ply, transforms.json and a COLMAP model.
-        metres: lengths in metres instead of SfM units.
+        out: folder for the files.
+        config: formats, and the frame of the files.
     """
     from rtgs.run.export import export
     from rtgs.run.folder import RunFolder
 
     folder = RunFolder(run)
+    export(folder, folder.load_scene(listener), out, config, listener)
+
+
+def share(
+    run: Folder,
+    out: Path,
+    listener: Hidden,
+    title: str | None = None,
+    spots: bool = True,
+    most_gaussians: int = 200_000,
+) -> None:
+    """Write one page that shows the model in a browser: to send, and to open from disk.
+
+    Args:
+        run: the run folder.
+        out: the page, a file that ends in .html.
+        title: of the page; the run folder's name without it.
+        spots: find the hot and cold spots, and list them.
+        most_gaussians: of each model; 100,000 of both are 8 MB.
+    """
+    from rtgs.run.folder import RunFolder
+    from rtgs.run.share.make import share as make
+
+    folder = RunFolder(run)
     scene = folder.load_scene(listener)
-    for path in export(folder, scene, out, metres=metres):
-        listener(ResultLine(f"wrote {path}"))
-    estimate = folder.read_scale()
-    if metres and estimate.doubt:
-        listener(WarningLine(f"these lengths may not be metres: {estimate.doubt}"))
+    config = SpotsConfig() if spots else None
+    make(folder, scene, out, title=title, spots=config, most=most_gaussians, listener=listener)
