@@ -32,6 +32,7 @@ ARGUMENTS = {
     "view": ["--spots", "--host", "--port", "--no-browser"],
     "export": ["--out", "--format", "--frame", "--program", "--thermal-colours", "--plane", "--pixel-m"],
     "share": ["--out", "--title", "--no-spots", "--most-gaussians"],
+    "info": ["file or folder"],
     "import": ["{flir,dji", "--out", "--rgb", "--rig"],
     "synth": ["--out", "--scene", "--frames", "--size", "--baseline-m", "--sfm-per-metre"],
     "demo": ["--out"],

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 
 import tyro
@@ -17,7 +18,9 @@ from rtgs import __version__
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, to_all
 from rtgs.base.files import reason
+from rtgs.cli.manners import Manners, taken_out
 from rtgs.cli.options import saved_settings
+from rtgs.cli.overview import overview
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 from rtgs.cli.table import all_commands, calibrate_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
@@ -47,6 +50,7 @@ def main(arguments: Sequence[str] | None = None, listener: Listener | None = Non
 
 def _command(arguments: Sequence[str], listener: Listener | None) -> None:
     """Do what the command line asks for, and say in one line why it cannot be done."""
+    manners, arguments = taken_out(arguments)
     if arguments[:1] == ["--version"]:
         print(f"rtgs {__version__}")
         if arguments[1:] in (["-v"], ["--verbose"]):
@@ -56,15 +60,17 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
         return
     try:
         with sigterm_as_ctrl_c() as stopper:
-            _run(arguments, to_all(listener or Terminal(), stopper))
+            _run(arguments, to_all(listener or Terminal(manners), stopper), manners)
     except (Exception, KeyboardInterrupt) as error:
         if (stop := stop_behind(error)) is not None:
             Console(stderr=True).print("stopped; the same command goes on from here")
             sys.exit(143 if isinstance(stop, Terminated) else 130)
+        if isinstance(error, BrokenPipeError):
+            raise
+        if manners.debug:
+            traceback.print_exception(error)
         if isinstance(error, RtgsError):
             _complain(str(error))
-        elif isinstance(error, BrokenPipeError):
-            raise
         elif isinstance(error, UnicodeEncodeError):
             name = error.object[max(error.start - 60, 0) : error.end + 60]
             _complain(f"{name!r}: holds a name that is not UTF-8. Rename the file or folder.")
@@ -72,13 +78,21 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
             _complain(f"{error}. Remove the link, or name what it was meant to lead to.")
         elif isinstance(error, OSError):  # a full disk, a folder that may not be written
             _complain(f"{error.filename}: {reason(error)}" if error.filename else str(error))
-        else:
+        elif listener is not None:  # whoever calls this from a program wants the exception itself
             raise
+        else:
+            _complain(
+                f"a defect of rtgs: {type(error).__name__}: {error}. Report it with what --debug and `rtgs --version -v` print."
+            )
+            sys.exit(1)
         sys.exit(2)
 
 
-def _run(arguments: Sequence[str], listener: Listener) -> None:
-    table, prog, about = all_commands(saved_settings(arguments), listener), "rtgs", _ABOUT
+def _run(arguments: Sequence[str], listener: Listener, manners: Manners) -> None:
+    table, prog, about = all_commands(saved_settings(arguments), listener, as_json=manners.json), "rtgs", _ABOUT
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(overview(about, table))
+        return
     if arguments[:1] == ["experiment"]:
         table, prog, about, arguments = experiment_commands(listener), "rtgs experiment", _ABOUT_EXPERIMENT, arguments[1:]
     if arguments[:1] == ["calibrate"]:

@@ -11,6 +11,7 @@ from rtgs.cli.commands.calibrate import calibrate, target
 from rtgs.cli.commands.convert import import_photographs, make_synthetic
 from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.experiment import experiment, real, synthetic
+from rtgs.cli.commands.info import info
 from rtgs.cli.commands.results import export_models, render_images, share, spots
 from rtgs.cli.commands.run import rgb, run, scale, score, sfm, thermal
 from rtgs.cli.commands.view import view
@@ -19,12 +20,13 @@ from rtgs.config import ExportConfig, RealExperimentConfig, RunConfig, SpotsConf
 Commands: TypeAlias = dict[str, Callable[..., Any]]
 
 
-def all_commands(saved: RunConfig, listener: Listener) -> Commands:
+def all_commands(saved: RunConfig, listener: Listener, *, as_json: bool = False) -> Commands:
     """All commands.
 
     Args:
         saved: settings of the run that the command line names, which are the defaults of its flags.
         listener: gets the events of the work.
+        as_json: results are wanted as JSON.
     """
     table: Commands = {
         "run": partial(run, config=saved),
@@ -38,6 +40,7 @@ def all_commands(saved: RunConfig, listener: Listener) -> Commands:
         "view": view,
         "export": partial(export_models, config=ExportConfig()),
         "share": share,
+        "info": partial(info, as_json=as_json),
         "import": import_photographs,
         "synth": partial(make_synthetic, config=SynthConfig()),
         "demo": demo,
