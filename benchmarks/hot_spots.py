@@ -7,8 +7,8 @@
     … --again mine                                                            measure a variant anew, after the code has changed
 
 DIR/SCENE-SEED-SIZE-FRAMES-STEPS/ holds a capture and its RGB model, made once; DIR/results.json what was measured, for each capture and
-variant. Both are used again by the next call; a call that was stopped goes on. "frozen" and "follow" are `ThermalConfig.geometry`,
-"default" is `ThermalConfig()`.
+variant. Both are used again by the next call; a call that was stopped goes on. "frozen", "follow" and "refine" are
+`ThermalConfig.geometry`, "default" is `ThermalConfig()`.
 
 Every variant is fitted to three sets of photographs that differ in nothing else, noise included: "plain" (no features), "features", and
 "distractor" (features, and a warm ellipse in one training frame of ten). Held-out photographs have no distractor. Scores are against
@@ -313,7 +313,7 @@ def table(results: Mapping[str, Mapping[str, Any]], variants: Sequence[str]) -> 
 
 def changes_of(settings: Sequence[Sequence[str]]) -> dict[str, dict[str, Any]]:
     """Variant → changed fields, from the command line: [name, field=value, …]."""
-    found: dict[str, dict[str, Any]] = {"default": {}, "frozen": {"geometry": "frozen"}, "follow": {"geometry": "follow"}}
+    found: dict[str, dict[str, Any]] = {"default": {}, **{g: {"geometry": g} for g in ("frozen", "follow", "refine")}}
     for name, *pairs in settings:
         changes = {}
         for pair in pairs:

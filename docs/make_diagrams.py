@@ -155,7 +155,7 @@ def scale_verdict() -> None:
 
 def thermal_decisions() -> None:
     """The order of the thermal fit's decisions."""
-    d = Diagram(480, 1180, "Flow chart: the decisions of the thermal fit, in order")
+    d = Diagram(480, 1390, "Flow chart: the decisions of the thermal fit, in order")
     x, w = 160, 300
     d.parts.append('<g transform="translate(0 100)">')  # the other rows stand below this one
     d.box(x, -55, w, 56, ["Rows: all, or one in two to four", "where there are many pixels"], FAIR)
@@ -181,11 +181,20 @@ def thermal_decisions() -> None:
     d.arrow([(x, 637), (x, 679)])
     d.box(x, 712, w, 62, ["4  Ridge: four strengths, Huber", "loss, early stopping"], FAIR)
     d.arrow([(x, 743), (x, 787)])
-    d.box(x, 818, w, 60, ["Final fit on all training frames,", "Huber loss, few iterations"])
-    d.arrow([(x, 848), (x, 892)])
-    d.box(x, 923, w, 60, ["Gauge: median gain 1,", "median offset 0"])
-    d.arrow([(x, 953), (x, 997)])
-    d.box(x, 1028, w, 60, ["thermal.ply, thermal.json", "with the decisions"], GOOD, bold=True)
+    d.box(x, 818, w, 60, ["Split Gaussians where several", "photographs agree on what is missing"], FAIR)
+    d.arrow([(x, 848), (x, 882)])
+    y = 917
+    d.question(x, y, w, 70, ["5  Geometry: do the halves predict", "validation frames better there?"])
+    d.arrow([(right, y), (right + 85, y), (right + 85, y + 36)], "yes", (right + 30, y - 12))
+    d.box(right + 88, y + 65, 150, 54, ["the halves", "are kept"], GOOD)
+    d.arrow([(x, y + 35), (x, 1009)])
+    d.arrow([(right + 13, y + 72), (x + 2, y + 72)])
+    d.text(x - 16, y + 50, ["no"], size=14)
+    d.box(x, 1040, w, 60, ["Final fit on all training frames,", "Huber loss, few iterations"])
+    d.arrow([(x, 1070), (x, 1114)])
+    d.box(x, 1145, w, 60, ["Gauge: median gain 1,", "median offset 0"])
+    d.arrow([(x, 1175), (x, 1219)])
+    d.box(x, 1250, w, 60, ["thermal.ply, thermal.json", "with the decisions"], GOOD, bold=True)
     d.parts.append("</g>")
     d.write("thermal_decisions")
 

@@ -19,7 +19,8 @@ from rtgs.thermal import fit_thermal, gaussian_temperatures
 from rtgs.thermal.linear import fit_linear
 from rtgs.thermal.settings import FollowSettings, LinearSettings
 
-FROZEN, FOLLOW = ThermalConfig(geometry="frozen"), ThermalConfig(geometry="follow")
+FROZEN, FOLLOW, REFINE = (ThermalConfig(geometry=geometry) for geometry in ("frozen", "follow", "refine"))
+BOTH = pytest.mark.parametrize("config", [FOLLOW, REFINE], ids=["follow", "refine"])
 
 
 def held_out_errors(scene: Scene, model: ThermalModel, *, spots: bool) -> list[np.ndarray]:
@@ -31,11 +32,12 @@ def held_out_errors(scene: Scene, model: ThermalModel, *, spots: bool) -> list[n
     return out
 
 
+@BOTH
 @pytest.mark.thorough
-def test_spots_that_rgb_does_not_show() -> None:
+def test_spots_that_rgb_does_not_show(config: ThermalConfig) -> None:
     """Hot and cold ones, of 3.7 pixels; the frozen geometry, six pixels wide, shows nearly nothing of them."""
     scene, rgb = spotted_wall()
-    frozen, follows = (fit_thermal(scene, rgb, TRUTH, config) for config in (FROZEN, FOLLOW))
+    frozen, follows = (fit_thermal(scene, rgb, TRUTH, c) for c in (FROZEN, config))
     before, after = shares_at_centres(scene, frozen), shares_at_centres(scene, follows)
     assert len(before) >= 8 and np.median(before) < 0.2
     assert np.median(after) > 0.9 and after.min() > 0.8
@@ -46,8 +48,9 @@ def test_spots_that_rgb_does_not_show() -> None:
     assert known.temperature.shape == (len(follows.gaussians),) and np.isfinite(known.std).all()
 
 
+@BOTH
 @pytest.mark.thorough
-def test_what_one_photograph_shows_alone_is_left_out() -> None:
+def test_what_one_photograph_shows_alone_is_left_out(config: ThermalConfig) -> None:
     """A warm thing of 10 × 12 pixels in one training frame: held-out views of that place do not show it."""
     scene, rgb = spotted_wall()
     name, excess = scene.train_frames[4].name, 15.0
@@ -56,7 +59,7 @@ def test_what_one_photograph_shows_alone_is_left_out() -> None:
     x, y = on_the_wall(scene.world_from_thermal(name, TRUTH))
     there = x[16:28, 18:28], y[16:28, 18:28]
     disturbed = altered(scene, thermal={f.name: image if f.name == name else f.thermal for f in scene.frames})
-    with_it, without = (fit_thermal(s, rgb, TRUTH, FOLLOW) for s in (disturbed, scene))
+    with_it, without = (fit_thermal(s, rgb, TRUTH, config) for s in (disturbed, scene))
     shares = []
     for frame in scene.held_out_frames:
         world_from_thermal = scene.world_from_thermal(frame.name, TRUTH)
@@ -68,12 +71,13 @@ def test_what_one_photograph_shows_alone_is_left_out() -> None:
     assert np.median(shares_at_centres(scene, with_it)) > 0.9
 
 
+@BOTH
 @pytest.mark.thorough
-def test_without_spots_nothing_is_worse() -> None:
+def test_without_spots_nothing_is_worse(config: ThermalConfig) -> None:
     scene, rgb = spotted_wall(spots=False)
     errors = [
-        np.mean([np.abs(e).mean() for e in held_out_errors(scene, fit_thermal(scene, rgb, TRUTH, config), spots=False)])
-        for config in (FROZEN, FOLLOW)
+        np.mean([np.abs(e).mean() for e in held_out_errors(scene, fit_thermal(scene, rgb, TRUTH, c), spots=False)])
+        for c in (FROZEN, config)
     ]
     assert errors[1] <= 1.02 * errors[0]
 
@@ -108,8 +112,9 @@ def test_no_more_gaussians_than_allowed_nor_smaller_than_a_pixel() -> None:
     assert len(model.gaussians) == len(rgb.gaussians) and model.decisions[-1].choice == "frozen"
 
 
+@BOTH
 @pytest.mark.thorough
-def test_threads_change_nothing() -> None:
+def test_threads_change_nothing(config: ThermalConfig) -> None:
     scene, rgb = spotted_wall()
-    one, three = (fit_linear(scene, rgb, TRUTH, FOLLOW, settings=LinearSettings(threads=threads)) for threads in (1, 3))
+    one, three = (fit_linear(scene, rgb, TRUTH, config, settings=LinearSettings(threads=threads)) for threads in (1, 3))
     assert torch.equal(one.gaussians.sh, three.gaussians.sh) and torch.equal(one.gaussians.means, three.gaussians.means)

@@ -123,6 +123,10 @@ class Fit:
         """The same fit with a pattern subtracted from the photographs."""
         return replace(self, data=replace(self.data, images=tuple(y - pattern for y in self.data.images)))
 
+    def on(self, other: Fit) -> Fit:
+        """The same photographs, on the Gaussians of another fit and with its settings."""
+        return replace(other, data=self.data)
+
     def surface(self) -> Tensor:
         """`[h, w, 5]`: x, y, x², y², x·y with mean 0 over the valid pixels. Vignetting is nearly a combination of these."""
         terms = torch.from_numpy(quadratic_terms(tuple(self.data.valid.shape))[1:]).float()

@@ -2,75 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 
 from rtgs.config import DriftKind
 from rtgs.maths import sh
-from rtgs.records.camera import Camera
 from rtgs.records.decision import Decision
 from rtgs.records.gaussians import Gaussians
-from rtgs.renderer import RenderSettings
 from rtgs.thermal.candidates import solve_candidates
 from rtgs.thermal.choices import measured, too_few
 from rtgs.thermal.coverage import measure_coverage
-from rtgs.thermal.design import Design
 from rtgs.thermal.fit import Fit, Fitted
 from rtgs.thermal.follow import Finer, finer_gaussians
+from rtgs.thermal.refine import Geometry, refined
 from rtgs.thermal.surface import Surface
 from rtgs.thermal.validation import EarlyStopping, Validation
-
-
-@dataclass(frozen=True, eq=False)
-class Geometry:
-    """Gaussians, and how a design is made of them.
-
-    Attributes:
-        camera: of whole photographs.
-        every: the fit uses one row in so many.
-        design: makes the design of other Gaussians.
-    """
-
-    gaussians: Gaussians
-    camera: Camera
-    every: int
-    settings: RenderSettings
-    design: Callable[[Gaussians], Design]
 
 
 def choose_geometry(
     validation: Validation, kind: DriftKind, factor: float, found: Fitted, geometry: Geometry
 ) -> tuple[Gaussians, Fit, Fitted, Decision]:
-    """Split Gaussians where the residuals of the photographs ask for it, and keep them if validation frames agree.
+    """Split Gaussians where the residuals of the photographs ask for it, moved or not, and keep them if validation frames agree.
 
     Args:
         validation: with the sensor's pattern removed.
         kind, factor, found: drift, ridge and the model so far.
 
     Returns:
-        The Gaussians that are kept, their fit (with the same photographs), their model without validation frames, and the decision.
+        The Gaussians that are kept, their fit (with the same photographs, and settings that suit them), their model without validation
+        frames, and the decision.
     """
     fit, before = validation.fit, geometry.gaussians
     if not validation.frames:
         return before, fit, found, Decision("geometry", "frozen", too_few(validation, 1))
-    rows = geometry.camera.rows(geometry.every)
-    numbers = fit.settings.follow
-    surface = Surface.of(before, rows, fit.data.poses, fit.data.valid, geometry.settings, numbers)
-    residuals = fit.residuals(fit.drift(kind, found.images), found.images)
-    finer = finer_gaussians(fit.design, before, fit.data, geometry.camera, surface, residuals, numbers, fit.each)
+    moved, coarse, shown = before, fit, found
+    if geometry.moves:
+        moved, x = refined(fit, geometry, found.x, fit.drift(kind, found.images), validation.others)
+        fit.design.release()
+        coarse = replace(fit, design=geometry.design(moved))
+        (shown,) = Fitted.of(coarse, x)
+    rows, numbers = geometry.camera.rows(geometry.every), fit.settings.follow
+    surface = Surface.of(moved, rows, fit.data.poses, fit.data.valid, geometry.settings, numbers)
+    residuals = fit.residuals(fit.drift(kind, shown.images), shown.images)
+    finer = finer_gaussians(coarse.design, moved, fit.data, geometry.camera, surface, residuals, numbers, fit.each)
     if len(finer.gaussians) == len(before):
         return before, fit, found, Decision("geometry", "frozen", "No Gaussian is larger than a pixel of the photographs.")
 
-    fit.design.release()
-    inherited = fit.design.harmonics(found.x)[finer.parents].flatten(0, 1)
-    x = torch.cat([inherited, found.x[-1:]])
+    coarse.design.release()
+    x = torch.cat([coarse.design.harmonics(shown.x)[finer.parents].flatten(0, 1), shown.x[-1:]])
     design = geometry.design(finer.gaussians)
     unseen = torch.cat([sh.C0 * design.harmonics(x)[:, 0, 0], x[-1]])
+    settings = replace(fit.settings, last_iterations=fit.settings.last_iterations * numbers.iterations_times)
 
     def fitted_on(frames: range | list[int]) -> Fit:
-        return replace(fit, design=design, coverage=measure_coverage(design, fit.data, fit.settings, fit.each, frames, unseen))
+        coverage = measure_coverage(design, fit.data, settings, fit.each, frames, unseen)
+        return replace(fit, design=design, coverage=coverage, settings=settings)
 
     on_others = Validation(fitted_on(validation.others), validation.frames)
     stopping = EarlyStopping(on_others, [kind], fit.settings.stop_share_ridge)

@@ -26,8 +26,9 @@ from rtgs.thermal.drift import in_gauge
 from rtgs.thermal.final import fit_all_frames
 from rtgs.thermal.fit import Fit
 from rtgs.thermal.frames import ThermalFrames, color_range, training_range
-from rtgs.thermal.geometry import Geometry, choose_geometry
+from rtgs.thermal.geometry import choose_geometry
 from rtgs.thermal.passes import Passes
+from rtgs.thermal.refine import Geometry
 from rtgs.thermal.settings import LinearSettings
 from rtgs.thermal.validation import Validation
 
@@ -73,11 +74,10 @@ def fit_linear(
         decisions = [rows, drift, pattern, gains, ridge]
 
         # Finer Gaussians.
-        if config.geometry == "follow":
-            geometry = Geometry(gaussians, camera, every, rgb_model.settings, kept)
+        if config.geometry != "frozen":
+            geometry = Geometry(gaussians, camera, every, scene.extent, config.geometry == "refine", rgb_model.settings, kept)
             gaussians, followed, found, decision = choose_geometry(validation, kind, factor, found, geometry)
-            fit, decisions = replace(fit, design=followed.design, coverage=followed.coverage), [*decisions, decision]
-            clean = replace(clean, design=followed.design, coverage=followed.coverage)
+            fit, clean, decisions = fit.on(followed), clean.on(followed), [*decisions, decision]
 
         # The fit on all frames. The pattern is taken anew, from images that have no part in it any more.
         if has_pattern:
