@@ -41,6 +41,7 @@ from rtgs.records.radiometry import RelativeCounts
 from rtgs.run.config_file import read_config
 from rtgs.run.content import Hashes, read_content
 from rtgs.run.folder import RunFolder
+from rtgs.run.info import describe
 from rtgs.run.records import CaptureSummary
 from rtgs.run.report import write_report
 from rtgs.run.report.run_records import RunRecords
@@ -298,6 +299,8 @@ READERS: tuple[Reader, ...] = (
     Reader("COLMAP, text", changed(lambda: examples.sparse_models()[1:2], "0/*.txt"), lambda root: read_sparse(root / "0"), 3),
     Reader("PLY, RGB", changed(examples.plys), lambda root: read_ply(root / "model.ply"), 3),
     Reader("PLY, thermal", changed(lambda: examples.plys()[3:4]), lambda root: read_thermal_ply(root / "model.ply"), 1),
+    Reader("info of a PLY", changed(examples.plys), lambda root: describe(root / "model.ply"), 1),
+    Reader("info of a picture", changed(examples.flir_files), lambda root: describe(root / "image.jpg"), 1),
     Reader("FLIR", changed(examples.flir_files, change=lambda rng, _, data: mutate.of_flir(rng, data)), _read_flir, 3),
     Reader("DJI", changed(examples.dji_files), _read_dji, 1),
     Reader(

@@ -52,12 +52,15 @@ class Tab:
     Attributes:
         errors: what the page wrote to its console as an error, and exceptions that nothing caught.
         requests: addresses that it asked for.
+        received: when it got each message through its socket (as `time.time`), and of how many bytes.
     """
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0
         self.errors: list[str] = []
         self.requests: list[str] = []
+        self.received: list[tuple[float, int]] = []
+        self._clock: float | None = None
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -82,6 +85,9 @@ class Tab:
             self.errors.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
         elif method == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
+            self._clock = told["wallTime"] - told["timestamp"]  # the browser's own clock begins with the machine
+        elif method == "Network.webSocketFrameReceived" and self._clock is not None:
+            self.received.append((self._clock + told["timestamp"], len(told["response"]["payloadData"])))
 
     def go(self, url: str) -> None:
         self.call("Page.navigate", url=url)
@@ -101,23 +107,24 @@ class Tab:
         return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
 
     def click(self, x: float, y: float) -> None:
-        self._mouse("mouseMoved", x, y)
-        self._mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
-        self._mouse("mouseReleased", x, y, button="left", clickCount=1)
+        self.mouse("mouseMoved", x, y)
+        self.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
+        self.mouse("mouseReleased", x, y, button="left", clickCount=1)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 8) -> None:
-        self._mouse("mouseMoved", *start)
-        self._mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
+        self.mouse("mouseMoved", *start)
+        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
         for k in range(1, steps + 1):
             x, y = (a + k / steps * (b - a) for a, b in zip(start, end, strict=True))
-            self._mouse("mouseMoved", x, y, button="left", buttons=1)
-        self._mouse("mouseReleased", *end, button="left", clickCount=1)
+            self.mouse("mouseMoved", x, y, button="left", buttons=1)
+        self.mouse("mouseReleased", *end, button="left", clickCount=1)
 
     def key(self, name: str, code: int) -> None:
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=code)
 
-    def _mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+    def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        """An event of the mouse: "mousePressed", "mouseMoved" or "mouseReleased"."""
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     # What a person finds by its text
@@ -134,7 +141,7 @@ class Tab:
         )
         return None if found is None else (found[0], found[1], found[2], found[3])
 
-    def press(self, finder: str, what: str) -> None:
+    def press(self, finder: str, what: str, patience_s: float = PATIENCE_S) -> None:
         """Click the middle of the element that the expression finds, once it is there, lies still and is covered by nothing."""
         self.call("Page.bringToFront")  # a browser does not draw what is behind
         seen: list[tuple[float, float, float, float] | None] = [None]
@@ -149,7 +156,7 @@ class Tab:
             on_top = self.js(f"(() => {{ {both}; return !!a && !!b && (a.contains(b) || b.contains(a)); }})()")
             return place if on_top else None
 
-        place = wait_for(still, f"{what} is on the page")
+        place = wait_for(still, f"{what} is on the page", patience_s)
         assert place is not None
         left, top, width, height = place
         self.click(left + width / 2, top + height / 2)
@@ -158,12 +165,30 @@ class Tab:
         self.press(_first("button", text), f"the button {text!r}")
 
     def open_tab(self, text: str) -> None:
-        self.press(_first("[role=tab]", text), f"the tab {text!r}")
+        finder = _first("[role=tab]", text)
+
+        def opened() -> bool:
+            if self.js(f"(({finder}) || document.body).getAttribute('aria-selected')") == "true":
+                return True
+            self.press(finder, f"the tab {text!r}")
+            return False
+
+        wait_for(opened, f"the tab {text!r} is open")
 
     def choose(self, label: str, option: str) -> None:
-        """An option of a drop-down list."""
-        self.press(_input(label), f"the list {label!r}")
-        self.press(_first("[role=option]", option), f"the option {option!r}")
+        """An option of a drop-down list. A page that is being built may lose a click, so the list is opened until the option is chosen."""
+        finder = _first("[role=option]", option)
+
+        def chosen() -> bool:
+            if self.value_of(label) == option:
+                return True
+            self.press(_input(label), f"the list {label!r}")
+            with contextlib.suppress(AssertionError):
+                wait_for(lambda: self.place_of(finder), f"the list {label!r} is open", patience_s=5.0)
+                self.press(finder, f"the option {option!r}", patience_s=5.0)
+            return self.value_of(label) == option
+
+        wait_for(chosen, f"{option!r} is chosen in {label!r}")
 
     def tick(self, label: str) -> None:
         """A box to tick, on or off."""

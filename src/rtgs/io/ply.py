@@ -197,7 +197,7 @@ def read_thermal_ply(path: Path, given_from_world: Sim3 | None = None) -> Therma
 
 def _read(path: Path, given_from_world: Sim3 | None) -> tuple[Gaussians, list[str], dict[str, NDArray[np.float32]]]:
     try:
-        _check_length(path)
+        check_length(path)
         ply = PlyData.read(str(path))
     except RtgsError:
         raise
@@ -250,7 +250,7 @@ def _read(path: Path, given_from_world: Sim3 | None) -> tuple[Gaussians, list[st
     return gaussians, list(ply.comments), properties
 
 
-def _check_length(path: Path) -> None:
+def check_length(path: Path) -> None:
     """Refuse a header that announces more numbers than the file has bytes, before memory is taken for them."""
     with path.open("rb") as file:
         header = file.read(_LONGEST_HEADER).partition(b"end_header")[0].decode("ascii", "replace")

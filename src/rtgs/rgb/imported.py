@@ -60,7 +60,8 @@ def import_model(path: Path, scene: Scene, config: RgbConfig) -> tuple[RgbModel,
         raise RtgsError(
             f"{path}: does not show what the photographs show. It explains {100 * likeness.explained:.0f} % of the detail of "
             f"{views.count} training photographs ({likeness.psnr:.1f} dB), where a picture without any detail explains 0 %. Give a model "
-            "in the frame and the unit of the capture's poses (transforms.json or sparse/0): not turned, moved, mirrored or scaled."
+            "in the frame and the unit of the capture's poses (transforms.json or sparse/0): not turned, moved, mirrored or scaled. "
+            "`rtgs export --frame sfm` writes such a file."
         )
     choice = "#" + "".join(f"{round(255 * float(v)):02x}" for v in background)
     before, after = (100 * views.likeness(color).rms for color in (torch.zeros(3), background))

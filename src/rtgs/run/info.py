@@ -20,6 +20,7 @@ from rtgs.io.capture import load_capture
 from rtgs.io.colmap import read_sparse
 from rtgs.io.image_files import read_counts, read_header
 from rtgs.io.photograph_tags import read_photograph_tags
+from rtgs.io.ply import check_length
 from rtgs.io.rig import read_rig
 from rtgs.records.camera import Camera
 from rtgs.run.config_file import is_run
@@ -103,7 +104,12 @@ def _colmap(path: Path) -> Facts:
 
 def _ply_of(path: Path) -> PlyData:
     try:
+        check_length(path)
         return PlyData.read(str(path))
+    except OSError as error:
+        raise RtgsError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except RtgsError:
+        raise
     except Exception as error:  # plyfile raises many kinds where a header says odd things
         raise RtgsError(f"{path}: not a whole PLY file ({error!s:.200})") from error
 
@@ -123,7 +129,7 @@ def _ply(path: Path) -> Facts:
     facts["comments"] = list(ply.comments)
     facts["columns"] = [n for n in names if not n.startswith("f_rest_")][:_COLUMNS_SHOWN]
     for name in (*"xyz", "temperature", "temperature_std", "views"):
-        if name in names and len(data):
+        if name in names and len(data) and data.dtype[name].kind != "O":  # a list
             facts[name] = _span(data[name])
     return facts
 

@@ -25,9 +25,8 @@ from rtgs.thermal.fit import Fit
 RATES = {"quats": 2e-3, "log_scales": 1e-2, "opacity_logits": 5e-2, "sh": 2.5e-3}
 RATE_OF_MEANS = 6.4e-5  # of the scene's extent
 SETTLE_TO = 0.05
-LOWEST = (
-    -30.0
-)  # the renderer clamps colours at 0; it is given how much more than this they are, in units of the range. None is less
+# The renderer clamps colours at 0. It is given how much more than this they are, in units of the range; none is less.
+LOWEST = -30.0
 
 
 @dataclass(frozen=True, eq=False)

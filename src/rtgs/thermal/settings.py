@@ -43,7 +43,8 @@ class FollowSettings:
     """`LinearSettings.last_iterations` is multiplied by this: there are more unknowns. At 1 the error on validation frames is 2 % higher,
     and lines are fainter."""
     steps: int = 200
-    """Steps of Adam on the geometry (`ThermalConfig.geometry = "refine"`), one photograph each. Half as many gain half as much."""
+    """Steps of Adam on the geometry (`ThermalConfig.geometry = "refine"`), one photograph each. Half as many gain half as much on a
+    synthetic room."""
 
 
 @dataclass(frozen=True)

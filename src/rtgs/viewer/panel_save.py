@@ -10,7 +10,7 @@ from rtgs.viewer.movie import FRAMES_PER_S, film, path, turntable
 from rtgs.viewer.panel_measure import unit_of
 from rtgs.viewer.picture import in_unit
 from rtgs.viewer.scale_check import png
-from rtgs.viewer.session import Session, Shown, disabled
+from rtgs.viewer.session import Session, Shown, long_action
 
 _FILM_PX = 960  # of its longer side
 
@@ -68,13 +68,6 @@ class SavePanel:
         width, height = (max(2, round(n * min(factor, 1.0))) for n in (eyes[0].camera.width, eyes[0].camera.height))
         painter = type(session.painter)(session.hub.engine)
 
-        def tell(share: float) -> None:
-            self._progress.value = 100.0 * share
-
-        with disabled(self._turn, self._path):
-            self._progress.value, self._progress.visible = 0.0, True
-            try:
-                content = film(eyes, lambda eye: painter.draw(wish, eye.resized(width, height)).picture, tell)
-            finally:
-                self._progress.visible = False
+        with long_action(session, self._progress, self._turn, self._path) as tell:
+            content = film(eyes, lambda eye: painter.draw(wish, eye.resized(width, height)).picture, tell)
         session.client.send_file_download(f"{session.hub.name}-{kind}.mp4", content, save_immediately=True)

@@ -17,7 +17,7 @@ from rtgs.viewer.engine import Eye
 from rtgs.viewer.panel_measure import unit_of
 from rtgs.viewer.panel_view import Head
 from rtgs.viewer.picture import Shade, difference_in_unit, from_unit, in_unit
-from rtgs.viewer.session import Session, disabled, photo_eye
+from rtgs.viewer.session import Session, long_action, photo_eye
 
 CRITERIA = ("by excess", "above", "below")
 _LISTED = 12
@@ -75,17 +75,8 @@ class SpotsPanel:
         else:
             config = SpotsConfig(below=from_unit(value, unit))
         engine = session.hub.engine
-
-        def tell(done: int, total: int, _: str) -> None:
-            self._progress.value = 100.0 * done / max(total, 1)
-
-        with disabled(self._find):
-            self._progress.value, self._progress.visible = 0.0, True
-            try:
-                with engine.holding:
-                    found = find_spots(scene, thermal, config, progress=engine.busy(tell))
-            finally:
-                self._progress.visible = False
+        with long_action(session, self._progress, self._find) as tell, engine.holding:
+            found = find_spots(scene, thermal, config, progress=engine.busy(lambda done, total, _: tell(done / max(total, 1))))
         session.hub.engine.contents = with_spots(session.contents, found)
         session.hub.refresh_all()
 

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from rtgs.images.pictures import (
     BACKGROUND,
@@ -21,8 +21,9 @@ from rtgs.images.pictures import (
 from rtgs.scale import ScaleEstimate
 from rtgs.viewer.engine import Engine, Eye
 
+ESTIMATE = (64, 224, 128)
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-_CURVE = (420, 150)  # width and height of the curve's picture
+_CURVE = (420, 160)  # width and height of the curve's picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +75,12 @@ def curve_picture(estimate: ScaleEstimate, tried: float) -> Picture:
             [min(a, x(estimate.sfm_per_metre) - 2), 6, max(b, x(estimate.sfm_per_metre) + 2), height - 20], fill=(52, 72, 66)
         )
     draw.line([(x(a), y(b)) for a, b in zip(s, loss, strict=True)], fill=INK, width=2)
-    draw.line([(x(estimate.sfm_per_metre), 6), (x(estimate.sfm_per_metre), height - 20)], fill=(64, 224, 128), width=2)
+    draw.line([(x(estimate.sfm_per_metre), 6), (x(estimate.sfm_per_metre), height - 20)], fill=ESTIMATE, width=2)
     draw.line([(x(tried), 6), (x(tried), height - 20)], fill=THERMAL_EDGE, width=2)
-    draw.text((8, height - 15), "loss over the scale (log)", fill=INK)
-    for text, colour, at in (("estimate and interval", (64, 224, 128), 0.42), ("tried", THERMAL_EDGE, 0.84)):
-        draw.text((width * at, height - 15), text, fill=colour)
+    font = ImageFont.load_default(size=14)
+    draw.text((8, height - 19), "loss over the scale", fill=INK, font=font)
+    for text, colour, at in (("estimate, interval", ESTIMATE, 0.44), ("tried", THERMAL_EDGE, 0.86)):
+        draw.text((width * at, height - 19), text, fill=colour, font=font)
     return np.asarray(image)
 
 

@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
@@ -259,6 +259,11 @@ class Session:
         return self.hub.engine.contents
 
     @property
+    def closed(self) -> bool:
+        """Whether the browser has gone."""
+        return self._state.closed
+
+    @property
     def settled(self) -> bool:
         """Whether the latest picture is that of the latest wish and of a camera at rest."""
         with self._state.changed:
@@ -361,12 +366,26 @@ def _small_depth(seen: Seen) -> NDArray[np.float32] | None:
 
 
 @contextlib.contextmanager
-def disabled(*handles: Any) -> Any:
-    """Within the block, these controls cannot be used."""
-    for handle in handles:
-        handle.disabled = True
+def long_action(session: Session, progress: Any, *buttons: Any) -> Iterator[Callable[[float], None]]:
+    """Long work for a browser, which ends when the browser goes. Meanwhile its buttons cannot be used, and a bar shows the share done."""
+
+    def tell(share: float) -> None:
+        if session.closed:
+            raise _GoneError
+        progress.value = 100.0 * share
+
+    tell(0.0)
+    progress.visible = True
+    for button in buttons:
+        button.disabled = True
     try:
-        yield
+        yield tell
     finally:
-        for handle in handles:
-            handle.disabled = False
+        if not session.closed:
+            progress.visible = False
+            for button in buttons:
+                button.disabled = False
+
+
+class _GoneError(Exception):
+    """The browser has gone, and with it the reason for some work."""

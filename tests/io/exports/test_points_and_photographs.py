@@ -196,3 +196,20 @@ def test_thermal_cameras_stand_where_the_images_say_whatever_metres_rest_on(tmp_
     (rig,) = pycolmap.Reconstruction(str(folder / "sparse" / "0")).rigs.values()
     (sensor_from_rig,) = rig.non_ref_sensors.values()
     assert np.linalg.norm(sensor_from_rig.translation) == pytest.approx(1.25 * BASELINE_M)
+
+
+def test_the_largest_upright_plane_is_seen_from_its_front(tmp_path: Path) -> None:
+    """The corner's floor, stood up: what was up points south, and east stays east."""
+    stood_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) @ GIVEN_FROM_UPRIGHT.rotation.T
+    rows = tuple(tuple(float(v) for v in row) for row in stood_up)
+    place = Georeference(0.0, 0.0, 0.0, "unknown", 1 / SFM_PER_METRE, rows, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))  # type: ignore[arg-type]
+    scene = corner(ExportConfig(pixel_m=0.05, plane="facade"))
+    written(replace(scene, subject=replace(scene.subject, place=place)), "orthophoto", tmp_path)
+    with rasterio.open(tmp_path / "orthophoto" / "temperature.tif") as raster:
+        values = raster.read(1)
+    assert 3.4 < values.shape[0] * 0.05 < 4.2 and 3.4 < values.shape[1] * 0.05 < 4.2  # the floor's 3.6 m
+    middle = np.array(values.shape) / 2
+    hot, warm = np.argwhere(values > 47), np.argwhere((values > 38) & (values < 42))
+    assert (hot.mean(axis=0) - middle)[1] > 5  # the arm along x, to the right
+    assert (warm.mean(axis=0) - middle)[0] < -5  # the arm along y, now upwards
+    assert np.nanmedian(values) == pytest.approx(FLOOR_C, abs=0.3)
