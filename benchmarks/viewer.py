@@ -2,12 +2,12 @@
 
     python -m benchmarks.viewer RUN [--seconds 20] [--reconnect-minutes 5]
 
-The run is seen in a window whose picture has 640 × 480 pixels, on this machine's cores. One call of `rtgs view` before the measured one
-fills the cache of compiled kernels.
+The run is seen in a window whose picture has 640 × 480 pixels, on this machine's cores. A first viewer fills the cache of compiled
+kernels.
 
 | figure | what it is |
 |---|---|
-| first picture | from the start of the process until the browser has been sent a picture; the browser waits at the address from the start |
+| first picture | from the start of the process until it has sent the browser a picture; the browser is running already |
 | pictures a second | while the mouse turns the view |
 | full size | from the last move until the last picture, which is the one at full size |
 | memory | highest resident memory of the server |
@@ -17,129 +17,130 @@ fills the cache of compiled kernels.
 from __future__ import annotations
 
 import argparse
-import contextlib
+import math
 import os
-import signal
-import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
-from tests.helpers.chromium import PATIENCE_S, Chromium, Tab, chromium, wait_for
+from tests.helpers.chromium import Chromium, Tab, chromium, wait_for
+
+from rtgs.viewer.start import Viewer
 
 WIDTH, HEIGHT, PANEL = 640, 480, 360
-PICTURE_BYTES = 6000  # of a message: everything smaller is a control, and no picture
 RELOAD_S = 10.0
 
 
-@contextlib.contextmanager
-def served(run: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, float]]:
-    """`rtgs view` in a process of its own: the process, its address, and when it was started."""
-    with contextlib.closing(socket.socket()) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "rtgs", "view", str(run), "--port", str(port), "--no-browser"]
-    started = time.monotonic()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    try:
-        yield process, f"http://127.0.0.1:{port}", started
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(timeout=30)
-        except subprocess.TimeoutExpired:
-            process.kill()
+class Server:
+    """A viewer in a process of its own, which prints when it sent each picture and whether at full size.
+
+    Attributes:
+        url: where it is. started: when the process was.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self.started = time.time()
+        command = [sys.executable, "-m", "benchmarks.viewer", str(run), "--serve"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+        self._sent: list[tuple[float, bool]] = []
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            at, full = line.split()
+            self._sent.append((float(at), full == "True"))
+
+    @property
+    def sent(self) -> list[tuple[float, bool]]:
+        """When each picture was sent, and whether at full size."""
+        return list(self._sent)
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.wait()
 
 
-def listening(url: str) -> bool:
-    host, port = url.removeprefix("http://").split(":")
-    with contextlib.closing(socket.socket()) as knock:
-        return knock.connect_ex((host, int(port))) == 0
+def serve(run: Path) -> None:
+    """The other side of `Server`."""
+    viewer = Viewer(run, port=0)
+    print(viewer.url, flush=True)
+    latest = 0.0
+    while True:
+        time.sleep(0.005)
+        for at, full in sorted(p for session in viewer.hub.sessions.values() for p in list(session.sent) if p[0] > latest):
+            latest = at
+            print(at, full, flush=True)
 
 
-def memory_mb(process: subprocess.Popen[bytes], name: str) -> float:
+def memory_mb(server: Server, name: str) -> float:
     """`VmHWM` (highest) or `VmRSS` (now)."""
-    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+    lines = Path(f"/proc/{server.process.pid}/status").read_text().splitlines()
     return next(float(line.split()[1]) / 1024 for line in lines if line.startswith(name))
 
 
-def pictures(tab: Tab) -> list[float]:
-    """When the page was sent each of its pictures so far, in seconds of `time.time`."""
-    tab.js("0")  # hears what has been told meanwhile
-    return [at for at, size in tab.received if size > PICTURE_BYTES]
-
-
-def open_page(browser: Chromium, url: str) -> Tab:
-    tab = browser.tab(WIDTH + PANEL, HEIGHT)
+def open_page(browser: Chromium, server: Server) -> Tab:
+    tab, before = browser.tab(WIDTH + PANEL, HEIGHT), len(server.sent)
     tab.call("Page.bringToFront")
-    wait_for(lambda: listening(url), "the server listens")
-    tab.go(url)
-    wait_for(lambda: pictures(tab), "there is a picture")
+    tab.go(server.url)
+    wait_for(lambda: len(server.sent) > before, "there is a picture")
     return tab
 
 
-def turn(tab: Tab, seconds: float) -> float:
-    """Drags the view to and fro; gives the pictures a second."""
-    before, started = len(pictures(tab)), time.monotonic()
-    k = 0
+def turn(tab: Tab, server: Server, seconds: float) -> tuple[float, float]:
+    """Drags the view to and fro; gives the pictures a second, and the seconds from the last move to the picture at full size."""
     tab.mouse("mousePressed", WIDTH / 2, HEIGHT / 2, button="left", buttons=1, clickCount=1)
-    while time.monotonic() - started < seconds:
+    started, k = time.time(), 0
+    while time.time() - started < seconds:
         k += 1
-        tab.mouse(
-            "mouseMoved", WIDTH / 2 + 40 * ((k % 40) / 20 - 1) * (1 if k // 40 % 2 else -1), HEIGHT / 2, button="left", buttons=1
-        )
-        time.sleep(1 / 60)
-    return (len(pictures(tab)) - before) / (time.monotonic() - started)
-
-
-def rest(tab: Tab) -> float:
-    """Ends the drag; gives the seconds until the last picture."""
-    tab.mouse("mouseMoved", WIDTH / 2 + 25, HEIGHT / 2, button="left", buttons=1)
-    moved = time.time()
-    tab.mouse("mouseReleased", WIDTH / 2 + 25, HEIGHT / 2, button="left", clickCount=1)
-    time.sleep(3.0)
-    return pictures(tab)[-1] - moved
+        x = WIDTH / 2 + 40 * math.sin(k / 15)
+        tab.mouse("mouseMoved", x, HEIGHT / 2, button="left", buttons=1)
+    ended = time.time()
+    rate = sum(started < at < ended for at, _ in server.sent) / (ended - started)
+    tab.mouse("mouseReleased", x, HEIGHT / 2, button="left", clickCount=1)
+    time.sleep(4.0)
+    return rate, max(at for at, full in server.sent if full) - ended
 
 
 def measure(run: Path, seconds: float, minutes: float) -> None:
     print(f"{run}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
     with chromium() as browser:
-        with served(run) as (_, url, _):
-            open_page(browser, url)  # compiles what is not in the cache
-        with served(run) as (process, url, started):
-            tab = open_page(browser, url)
-            print(f"first picture: {time.monotonic() - started:.1f} s", flush=True)
+        warm = Server(run)
+        open_page(browser, warm).choose("Show", "Temperature")  # compiles what is not in the cache
+        warm.stop()
+        server = Server(run)
+        try:
+            tab = open_page(browser, server)
+            print(f"first picture: {server.sent[0][0] - server.started:.1f} s", flush=True)
             for mode in ("RGB", "Temperature"):
                 tab.choose("Show", mode)
                 time.sleep(2.0)
-                rates, waits = [], []
-                for _ in range(3):
-                    rates.append(turn(tab, seconds / 3))
-                    waits.append(rest(tab))
-                print(
-                    f"{mode}: {median(rates):.1f} pictures a second, full size {median(waits):.2f} s after the last move",
-                    flush=True,
-                )
-            print(f"memory: {memory_mb(process, 'VmHWM'):.0f} MB", flush=True)
-            reconnect(browser, process, url, minutes)
+                rates, waits = zip(*(turn(tab, server, seconds / 3) for _ in range(3)), strict=True)
+                print(f"{mode}: {median(rates):.1f} pictures a second, full size after {median(waits):.2f} s of rest", flush=True)
+            print(f"memory: {memory_mb(server, 'VmHWM'):.0f} MB", flush=True)
+            reconnect(browser, server, minutes)
+        finally:
+            server.stop()
 
 
-def reconnect(browser: Chromium, process: subprocess.Popen[bytes], url: str, minutes: float) -> None:
+def reconnect(browser: Chromium, server: Server, minutes: float) -> None:
     """Load a page again and again, and compare the memory after the first minute with that at the end."""
     if minutes <= 0:
         return
-    tab, begun, first, count = open_page(browser, url), time.monotonic(), 0.0, 0
-    while (gone := time.monotonic() - begun) < 60 * minutes:
+    tab, begun, first, count = open_page(browser, server), time.time(), 0.0, 0
+    while (gone := time.time() - begun) < 60 * minutes:
         time.sleep(RELOAD_S)
-        tab.go(url)
+        tab.go(server.url)
         count += 1
         if not first and gone > 60:
-            first = memory_mb(process, "VmRSS")
-    wait_for(lambda: "Show" in tab.text(), "the page is there", PATIENCE_S)
-    last = memory_mb(process, "VmRSS")
+            first = memory_mb(server, "VmRSS")
+    wait_for(lambda: "Show" in tab.text(), "the page is there")
+    last = memory_mb(server, "VmRSS")
     first = first or last
     print(
         f"{count} reconnections in {minutes:g} min: {first:.0f} MB, then {last:.0f} MB ({100 * (last / first - 1):+.1f} %)",
@@ -152,7 +153,10 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--seconds", type=float, default=20.0, help="that the view is turned in each mode")
     parser.add_argument("--reconnect-minutes", type=float, default=5.0)
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.serve:
+        serve(arguments.run)
     measure(arguments.run, arguments.seconds, arguments.reconnect_minutes)
 
 

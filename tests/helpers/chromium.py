@@ -52,15 +52,12 @@ class Tab:
     Attributes:
         errors: what the page wrote to its console as an error, and exceptions that nothing caught.
         requests: addresses that it asked for.
-        received: when it got each message through its socket (as `time.time`), and of how many bytes.
     """
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0
         self.errors: list[str] = []
         self.requests: list[str] = []
-        self.received: list[tuple[float, int]] = []
-        self._clock: float | None = None
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -85,9 +82,6 @@ class Tab:
             self.errors.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
         elif method == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
-            self._clock = told["wallTime"] - told["timestamp"]  # the browser's own clock begins with the machine
-        elif method == "Network.webSocketFrameReceived" and self._clock is not None:
-            self.received.append((self._clock + told["timestamp"], len(told["response"]["payloadData"])))
 
     def go(self, url: str) -> None:
         self.call("Page.navigate", url=url)

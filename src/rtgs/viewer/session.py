@@ -6,6 +6,7 @@ import contextlib
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
@@ -232,6 +233,7 @@ class Session:
         hub: what all browsers share. client: the connection.
         wish: what is shown. shown: the latest picture at full size.
         overlays: names of 3D things that need depth to be hidden by the model.
+        sent: when pictures were sent (as `time.time`), the latest ones, and whether at full size.
     """
 
     def __init__(self, hub: Hub, client: viser.ClientHandle) -> None:
@@ -239,6 +241,7 @@ class Session:
         self.painter, self.wish, self.pace = Painter(hub.engine), Wish(), Pace()
         self.shown: Shown | None = None
         self.overlays: set[str] = set()
+        self.sent: deque[tuple[float, bool]] = deque(maxlen=1000)
         self.after_drawing: list[Callable[[Shown], None]] = []
         self._state = _State()
         client.camera.on_update(self._camera_moved)
@@ -345,6 +348,7 @@ class Session:
         depth = None if shown.seen is None or not self.overlays else _small_depth(shown.seen)
         self.client.scene.set_background_image(shown.picture, "jpeg", jpeg_quality=92 if full else 75, depth=depth)
         self.client.flush()
+        self.sent.append((time.time(), full))
         if not full:
             self.pace.learn(time.monotonic() - started)
             return
