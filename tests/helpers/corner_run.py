@@ -103,7 +103,8 @@ def _truth() -> tuple[NDArray[np.float64], ...]:
     floor = np.stack([*np.meshgrid(side, side), np.full((len(side), len(side)), -0.1)], axis=-1).reshape(-1, 3)
     parts.append((floor, FLOOR_COLOUR, FLOOR_C, 0.045))
     xyz = np.concatenate([p[0] for p in parts])
-    sizes = np.concatenate([np.tile([p[3], p[3], 0.01 if p[3] < 0.05 else p[3]], (len(p[0]), 1)) for p in parts])
+    # The floor's Gaussians are longest along x and flat: what turns a model must turn them too.
+    sizes = np.concatenate([np.tile((p[3], 0.7 * p[3], 0.01) if p[3] < 0.05 else (p[3],) * 3, (len(p[0]), 1)) for p in parts])
     colours = np.concatenate([np.tile(p[1], (len(p[0]), 1)) for p in parts])
     return xyz, sizes, colours, np.concatenate([np.full(len(p[0]), p[2]) for p in parts])
 

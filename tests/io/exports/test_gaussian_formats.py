@@ -22,14 +22,19 @@ from tests.helpers.corner_run import RANGE, SFM_PER_METRE, Corner, corner
 from rtgs.config import ExportConfig, ExportFormat
 from rtgs.io.exports.formats import FORMATS
 from rtgs.io.ply import read_background, read_thermal_ply
+from rtgs.maths.quaternions import rotations_from_quats
 from rtgs.maths.sh import C0, basis
 
 
 class Read(NamedTuple):
-    """Gaussians as another program reads them: positions, sizes, opacities, colours without direction, °C where the format has them."""
+    """Gaussians as another program reads them.
+
+    Positions, sizes, quaternions `wxyz`, opacities, colours without direction, °C where the format has them.
+    """
 
     xyz: NDArray
     sizes: NDArray
+    quats: NDArray
     opacities: NDArray
     colours: NDArray
     celsius: NDArray | None
@@ -38,7 +43,7 @@ class Read(NamedTuple):
 def by_gsply(path: Path) -> Read:
     data = gsply.plyread(str(path)) if path.suffix == ".ply" else gsply.read_spz(str(path))
     colours = data.sh0 * C0 + 0.5
-    return Read(data.means, np.exp(data.scales), 1 / (1 + np.exp(-data.opacities.ravel())), colours, None)
+    return Read(data.means, np.exp(data.scales), data.quats, 1 / (1 + np.exp(-data.opacities.ravel())), colours, None)
 
 
 def by_plyfile(path: Path) -> Read:
@@ -66,7 +71,8 @@ def by_hand_glb(path: Path) -> Read:
     np.testing.assert_allclose(np.linalg.norm(column(f"{extension}:ROTATION"), axis=1), 1, atol=1e-6)
     colours = 0.5 + C0 * column(f"{extension}:SH_DEGREE_0_COEF_0")
     celsius = column("_TEMPERATURE")[:, 0] if "_TEMPERATURE" in primitive["attributes"] else None
-    return Read(ours, column(f"{extension}:SCALE"), column(f"{extension}:OPACITY")[:, 0], colours, celsius)
+    quats = column(f"{extension}:ROTATION")[:, [3, 0, 1, 2]]
+    return Read(ours, column(f"{extension}:SCALE"), quats, column(f"{extension}:OPACITY")[:, 0], colours, celsius)
 
 
 def by_usd(path: Path) -> Read:
@@ -77,7 +83,8 @@ def by_usd(path: Path) -> Read:
     harmonics = np.array(prim.GetRadianceSphericalHarmonicsCoefficientsAttr().Get()).reshape(len(xyz), -1, 3)
     temperature = UsdGeom.PrimvarsAPI(prim).GetPrimvar("temperature")
     celsius = np.array(temperature.Get()) if temperature else None
-    return Read(xyz, sizes, np.array(prim.GetOpacitiesAttr().Get()), 0.5 + C0 * harmonics[:, 0], celsius)
+    quats = np.array([[q.GetReal(), *q.GetImaginary()] for q in prim.GetOrientationsAttr().Get()])
+    return Read(xyz, sizes, quats, np.array(prim.GetOpacitiesAttr().Get()), 0.5 + C0 * harmonics[:, 0], celsius)
 
 
 class Case(NamedTuple):
@@ -135,6 +142,13 @@ def test_the_same_gaussians_upright_and_in_metres(case: Case, tmp_path: Path) ->
     np.testing.assert_allclose(
         np.sort(read.sizes, axis=1), np.sort(scene.sizes[order], axis=1), rtol=0.04 if case.name == "spz" else 0.01
     )
+    axes = rotations_from_quats(torch.as_tensor(np.asarray(read.quats, np.float64))).numpy()
+    shape = axes @ (read.sizes[:, :, None] ** 2 * axes.transpose(0, 2, 1))
+    head = heading(truth[order], found)
+    there = np.einsum("ij,nj,kj->nik", head, scene.sizes[order] ** 2, head)
+    upright = np.array(case.upright_from_file, float)
+    largest = (scene.sizes[order] ** 2).max(axis=1)[:, None, None]
+    np.testing.assert_allclose(upright @ shape @ upright.T / largest, there / largest, atol=0.1 if case.name == "spz" else 0.02)
     np.testing.assert_allclose(read.colours, scene.colours[order], atol=case.level)
     np.testing.assert_allclose(read.opacities, 1 / (1 + np.exp(-5.0)), atol=0.004)
 

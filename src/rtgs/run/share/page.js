@@ -236,8 +236,8 @@ function begin() {
     $("message").hidden = false;
   }
   $("limits").textContent = (splats && splats.software
-    ? "This browser draws with software, without a GPU: expect about one picture a second with 100,000 Gaussians, in coarser pixels while the view moves. "
-    : "Without a GPU a browser draws about one picture a second with 100,000 Gaussians, in coarser pixels while the view moves. ") +
+    ? "This browser draws with software, without a GPU: expect one to five seconds a picture with 100,000 Gaussians, in coarser pixels while the view moves. "
+    : "Without a GPU a browser takes one to five seconds a picture with 100,000 Gaussians, in coarser pixels while the view moves. ") +
     "Colours do not depend on the direction here; the run's own pictures and figures are exact.";
   listen();
   setSpan([...DATA.range]);
