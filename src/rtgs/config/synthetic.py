@@ -53,6 +53,8 @@ class SynthConfig:
     """also write each thermal image in °C without blur, gain, noise or quantisation, beside the truth"""
     features: tuple[str, ...] = ()
     """what surfaces have in the thermal images alone: spots, lines, rectangle, hot and cold; none by default"""
+    spots_each: Annotated[int, Range(1, 1000)] = 3
+    """`features` with spots: so many of each of four sizes, hot and as many cold; fewer where the scene has no place for more"""
     distractor: bool = False
     """in one training frame of ten, a warm thing stands in the thermal image that is no part of the scene"""
 

@@ -21,7 +21,6 @@ from rtgs.synthetic.raycast import CompiledModel, Hits
 
 Floats = NDArray[np.float64]
 SPOT_SIZES_PX = (8.0, 5.0, 3.0, 2.0)  # large ones first: they fit into fewer places
-SPOTS_EACH = 3  # of every size, hot and cold
 LINE_WIDTHS_PX = (3.0, 2.0)
 LINE_LENGTHS_PX = (30.0, 20.0, 12.0)  # the longest that fits
 RECTANGLES_PX = ((48.0, 32.0), (36.0, 24.0), (24.0, 16.0))  # the largest that fits
@@ -60,15 +59,15 @@ class Wanted:
         return np.concatenate([[[0.0, 0.0]], ring])
 
 
-def wanted_features(names: Sequence[str]) -> list[list[Wanted]]:
-    """What is placed for the names of `SynthConfig.features`, in order. Of the alternatives of a feature, the first that fits is taken."""
+def wanted_features(names: Sequence[str], spots_each: int) -> list[list[Wanted]]:
+    """What is placed for `SynthConfig.features` and `spots_each`, in order. Of a feature's alternatives, the first that fits is taken."""
     found: list[list[Wanted]] = []
     if "rectangle" in names:
         found.append([Wanted("rectangle", a, b, 1) for a, b in RECTANGLES_PX])
     if "lines" in names:
         found += [[Wanted("line", a, b, sign) for a in LINE_LENGTHS_PX] for b in LINE_WIDTHS_PX for sign in (1, -1)]
     if "spots" in names:
-        found += [[Wanted("spot", 0.0, s, sign)] for s in SPOT_SIZES_PX for _ in range(SPOTS_EACH) for sign in (1, -1)]
+        found += [[Wanted("spot", 0.0, s, sign)] for s in SPOT_SIZES_PX for _ in range(spots_each) for sign in (1, -1)]
     return found
 
 
@@ -165,7 +164,7 @@ def place_features(
         hits = None
     else:
         hits = placement.candidates(rng)
-    for alternatives in wanted_features(config.features):
+    for alternatives in wanted_features(config.features, config.spots_each):
         for wanted in alternatives:
             turn = rng.uniform(0, 2 * math.pi)
             feature = None if hits is None else next(_fitting(placement, hits, wanted, turn, found), None)
