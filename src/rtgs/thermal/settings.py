@@ -152,6 +152,10 @@ class CertaintySettings:
 
     seen_px: float = 0.5
     """A view sees a Gaussian that contributes this much to its pixels, all together. Half a pixel stands out of the noise."""
+    fewest_views: int = 3
+    """Standard errors are calibrated on Gaussians that so many views see: with fewer there is no depth."""
+    fewest_checked: int = 40
+    """Such Gaussians that the calibration needs. The 95 % quantile of 40 is the third largest."""
     samples: int = 8
     """Samples of the posterior. The standard error of a standard error is then a quarter, of the part that is sampled."""
     probes: int = 7
