@@ -116,4 +116,4 @@ def spot_list(scene: Corner) -> SpotList:
     """One spot, on the warm arm."""
     given = GIVEN_FROM_UPRIGHT.apply(np.array(SPOT_AT)) * scene.subject.metres_per_sfm
     at = (float(given[0]), float(given[1]), float(given[2]))
-    return SpotList((Spot("hot", at, 0.01, 50.0, 48.0, 20.0, 0.3, 5, ("frame_000",), 49.0, 0.2),), "°C", "3 °C or more off")
+    return SpotList((Spot("hot", at, 0.01, 50.0, 48.0, 20.0, 0.3, 5, 5, ("frame_000",), 49.0, 0.2),), "°C", "3 °C or more off")

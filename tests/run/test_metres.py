@@ -20,7 +20,7 @@ from rtgs.run.summary import metres_lines
 
 NORTH = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))  # z of the frame is north, and y down
 PLACE = Georeference(46.0, 11.0, 200.0, "ellipsoid", 0.5, NORTH, (0.0, 0.0, 10.0), (0.01, 0.01, 0.02))
-SPOT = Spot("hot", (0.0, -2.0, 30.0), 0.01, 40.0, 38.0, 20.0, 0.1, 5, ("a",), 39.0, 0.2)
+SPOT = Spot("hot", (0.0, -2.0, 30.0), 0.01, 40.0, 38.0, 20.0, 0.1, 5, 5, ("a",), 39.0, 0.2)
 
 
 def test_lengths_rest_on_all_sources_and_the_cameras_on_the_images(tmp_path: Path) -> None:

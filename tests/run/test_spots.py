@@ -12,7 +12,7 @@ from rtgs.base.json_records import read_record, write_json
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.spots import COLUMNS, row_of, spot_line
 
-SPOT = Spot("cold", (1.0, -2.0, 0.5), 0.01, 12.0, 13.0, 20.0, 0.1, 7, ("f3", "f1"), 9.0, 0.2)
+SPOT = Spot("cold", (1.0, -2.0, 0.5), 0.01, 12.0, 13.0, 20.0, 0.1, 7, 9, ("f3", "f1"), 9.0, 0.2)
 
 
 def test_a_spot_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -33,8 +33,22 @@ def test_a_spot_is_found_as_far_as_half_of_its_excess_goes(fwhm: float) -> None:
     (found,) = regions_by_excess(wall((40, 60, 15.0, fwhm)), SLANTED, 3.0)
     assert found.peak == (40, 60)
     assert found.area_px == pytest.approx(math.pi * fwhm**2 / 4, rel=0.2)
+    assert found.extreme >= 20 + 0.02 * 60 + 15 - 0.05
     assert image_of(found).sum() == pytest.approx(found.area_px, rel=0.1, abs=2.5)
     assert found.surroundings == pytest.approx(21.3, abs=1.0)
+
+
+@pytest.mark.parametrize("fwhm", [2.0, 3.0, 5.0])
+def test_a_pixels_mean_neither_lowers_the_peak_nor_widens_the_spot(fwhm: float) -> None:
+    """Pixels are means over 8 × 8 points of a spot that is anywhere in the middle one."""
+    fine = (np.arange(8 * 41) + 0.5) / 8 - 0.5
+    for dy, dx in ((0.0, 0.0), (0.5, 0.5), (0.2, -0.3)):
+        y, x = fine[:, None] - 20 - dy, fine[None] - 20 - dx
+        spot = 20 + 15 * np.exp(-4 * math.log(2) * (x**2 + y**2) / fwhm**2)
+        image = spot.reshape(41, 8, 41, 8).mean(axis=(1, 3))
+        (found,) = regions_by_excess(image, np.full(image.shape, 2.0), 3.0)
+        assert found.extreme == pytest.approx(35.0, abs=1.2 if fwhm == 2 else 0.3)  # the highest pixel may be 3.8 °C too low
+        assert found.area_px == pytest.approx(math.pi * fwhm**2 / 4, rel=0.2 if fwhm == 2 else 0.05)
 
 
 def test_spots_side_by_side_are_two_and_weak_ones_are_none() -> None:

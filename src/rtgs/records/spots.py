@@ -19,9 +19,10 @@ class Spot:
         kind: "hot" or "cold".
         position_m: centre, in SfM's world, divided by its SfM units per metre.
         area_m2: of the surface where at least half of the excess is; of what is beyond the threshold, where there is one.
-        extreme: highest (lowest) temperature in the photographs. mean: over the area. surroundings: of the surface around.
-        std: standard error of `extreme`, from its scatter over the views; None for a single view.
-        views: how many training photographs show it.
+        extreme: highest (lowest) temperature in the photographs, not lowered by the mean over a pixel.
+        mean: over the area. surroundings: of the surface around.
+        std: standard error of `extreme`, from its scatter over the views and from what pixels blur; None for a single view.
+        views: how many training photographs show it. seen_by: how many see the place.
         best_frames: up to three frames that show it largest.
         modelled: the model's highest (lowest) temperature there. modelled_std: its standard error.
         latitude_deg, longitude_deg, altitude_m: of the centre, in WGS 84; None where the photographs do not tell it.
@@ -35,6 +36,7 @@ class Spot:
     surroundings: float
     std: float | None
     views: int
+    seen_by: int
     best_frames: tuple[str, ...]
     modelled: float
     modelled_std: float | None

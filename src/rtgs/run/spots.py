@@ -19,7 +19,7 @@ from rtgs.thermal.spots import find_spots
 
 COLUMNS = (
     *("number", "kind", "x_m", "y_m", "z_m", "area_m2", "diameter_m", "extreme", "mean", "surroundings", "excess", "std"),
-    *("off_reference", "views", "modelled", "modelled_std", "model_differs", "best_frames"),
+    *("off_reference", "views", "seen_by", "modelled", "modelled_std", "model_differs", "best_frames"),
 )
 
 
@@ -74,6 +74,7 @@ def row_of(number: int, spot: Spot, reference: float | None) -> list[str]:
         *(text(v) for v in (spot.area_m2, spot.diameter_m, spot.extreme, spot.mean, spot.surroundings, spot.excess, spot.std)),
         text(off),
         str(spot.views),
+        str(spot.seen_by),
         text(spot.modelled),
         text(spot.modelled_std),
         "yes" if spot.model_differs else "no",

@@ -17,8 +17,10 @@ PAIRS = 12  # of opposite pixels on a ring
 RING_SHARE = (
     0.8  # of the ring that a spot is warmer than by the excess: at a straight edge about half is, at a corner three quarters
 )
-FLAT_SHARE = 0.05  # of the depth: opposite pixels of a ring have the centre's depth on average where the surface goes on
-_FINER, _COUNTED = 4, 400  # interpolation of a small region's area, and the pixels from which a region is counted
+FLAT_SHARE = 0.1  # of the depth: opposite pixels of a ring have the centre's depth on average where the surface goes on
+_FINER = 8  # points to a side of a pixel, of the image that is resolved
+_COUNTED = 400  # pixels: the area of a larger region is counted
+_MARGIN = 3  # pixels that are resolved around a region
 _EDGE = 3  # pixels around a region whose median stands for its surroundings
 
 Image = NDArray[np.float64]
@@ -31,13 +33,14 @@ class Region:
     Attributes:
         rows, columns: `[K]`, its pixels. peak: row and column of the highest.
         surroundings: temperature around it.
-        area_px: its area in pixels, of an interpolated image: a spot of two pixels is not told from one of three by counting.
+        extreme: highest temperature, of the image as `resolved` has it. area_px: its area there, in pixels.
     """
 
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
     peak: tuple[int, int]
     surroundings: float
+    extreme: float
     area_px: float
 
 
@@ -49,7 +52,7 @@ def regions_by_excess(temperature: Image, depth: Image, excess: float) -> list[R
         excess: least difference between the peak and its surroundings.
     """
     rows, columns = np.nonzero((ndimage.maximum_filter(temperature, 5) == temperature) & np.isfinite(depth))
-    contrast, radius = _standing_out(temperature, depth, rows, columns)
+    contrast, radius = standing_out(temperature, depth, rows, columns)
     taken = np.zeros(temperature.shape, bool)
     found = []
     for k in np.argsort(-contrast, kind="stable"):
@@ -63,7 +66,9 @@ def regions_by_excess(temperature: Image, depth: Image, excess: float) -> list[R
         region = _grown(temperature, depth, (row, column), level, 2 * int(radius[k]))
         if region is not None:
             taken[region] = True
-            found.append(Region(*region, (row, column), surroundings, _area_px(temperature, region, level)))
+            extreme = highest(temperature, *region)
+            area = _area_px(temperature, *region, surroundings + 0.5 * (extreme - surroundings))
+            found.append(Region(*region, (row, column), surroundings, extreme, area))
     return found
 
 
@@ -80,25 +85,50 @@ def regions_by_threshold(temperature: Image, depth: Image, threshold: float) -> 
         at = int(values.argmax())
         around = float(np.median(temperature[grown][rim])) if rim.any() else float(values.min())
         rows, columns = rows + grown[0].start, columns + grown[1].start
-        area = _area_px(temperature, (rows, columns), threshold)
-        yield Region(rows, columns, (int(rows[at]), int(columns[at])), around, area)
+        extreme, area = highest(temperature, rows, columns), _area_px(temperature, rows, columns, threshold)
+        yield Region(rows, columns, (int(rows[at]), int(columns[at])), around, extreme, area)
 
 
-def _area_px(temperature: Image, region: tuple[NDArray[np.int64], NDArray[np.int64]], level: float) -> float:
-    """Area of a region in which a level is reached, from a cubic interpolation. A region of many pixels is counted."""
-    rows, columns = region
+def resolved(image: Image) -> Image:
+    """`[8 H, 8 W]`: the cubic spline whose means over the pixels are the image.
+
+    A pixel shows the mean over its area. It lowers the peak of a spot two pixels wide by a sixth, and makes it a quarter larger.
+    """
+    coefficients = ndimage.spline_filter(image, order=4, mode="mirror")  # a cubic B-spline's mean over a pixel is the quartic one
+    at = [(np.arange(n * _FINER) + 0.5) / _FINER - 0.5 for n in image.shape]
+    points = np.meshgrid(*at, indexing="ij")
+    return np.asarray(ndimage.map_coordinates(coefficients, points, order=3, prefilter=False, mode="mirror"))
+
+
+def highest(temperature: Image, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
+    """The highest temperature within some pixels, resolved."""
+    if len(rows) > _COUNTED:
+        at = int(temperature[rows, columns].argmax())
+        rows, columns = rows[at : at + 1], columns[at : at + 1]
+    fine, own = _resolved_around(temperature, rows, columns)
+    return float(fine[own].max())
+
+
+def _area_px(temperature: Image, rows: NDArray[np.int64], columns: NDArray[np.int64], level: float) -> float:
+    """Area in which a region reaches a level."""
     if len(rows) > _COUNTED:
         return float(len(rows))
-    top, left = max(int(rows.min()) - 2, 0), max(int(columns.min()) - 2, 0)
-    window = temperature[top : rows.max() + 3, left : columns.max() + 3]
-    fine = [(np.arange(n * _FINER) + 0.5) / _FINER - 0.5 for n in window.shape]
-    inside = ndimage.map_coordinates(window, np.meshgrid(*fine, indexing="ij"), order=3, mode="nearest") >= level
-    labels, _ = ndimage.label(inside)
-    own = np.unique(labels[(rows - top) * _FINER + _FINER // 2, (columns - left) * _FINER + _FINER // 2])
-    return float(np.isin(labels, own[own > 0]).sum()) / _FINER**2 or float(len(rows))
+    fine, own = _resolved_around(temperature, rows, columns)
+    labels, _ = ndimage.label(fine >= level)
+    reached = np.unique(labels[own])
+    return float(np.isin(labels, reached[reached > 0]).sum()) / _FINER**2 or float(len(rows))
 
 
-def _standing_out(
+def _resolved_around(temperature: Image, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> tuple[Image, NDArray[np.bool_]]:
+    """The image around some pixels, resolved, and which of its points lie in these pixels."""
+    top, left = max(int(rows.min()) - _MARGIN, 0), max(int(columns.min()) - _MARGIN, 0)
+    window = temperature[top : rows.max() + _MARGIN + 1, left : columns.max() + _MARGIN + 1]
+    own = np.zeros(window.shape, bool)
+    own[rows - top, columns - left] = True
+    return resolved(window), own.repeat(_FINER, axis=0).repeat(_FINER, axis=1)
+
+
+def standing_out(
     temperature: Image, depth: Image, rows: NDArray[np.int64], columns: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """`[K]` each: by how much a pixel is warmer than four fifths of the ring around it, and the radius of the ring where that is most.
