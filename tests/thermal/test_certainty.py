@@ -13,10 +13,13 @@ from rtgs.maths.sh import C0
 from rtgs.models import ThermalModel
 from rtgs.records.scene import Scene
 from rtgs.thermal import fit_thermal, gaussian_temperatures
+from rtgs.thermal.certainty import Check
 from rtgs.thermal.coverage import ridge
 from rtgs.thermal.fit import Fit
 from rtgs.thermal.least_squares import solve
-from rtgs.thermal.settings import LinearSettings
+from rtgs.thermal.settings import CertaintySettings, LinearSettings
+
+NOISE_ALONE = CertaintySettings(calibrate=False)  # neighbours on the ring have nothing in common, as places of a surface have
 
 
 def lightly_held(scene: Scene) -> tuple[Fit, ThermalModel]:
@@ -34,7 +37,7 @@ def test_standard_error_is_that_of_repeated_noise() -> None:
     runs = []
     for seed in range(12):
         scene = noisy(0.5, seed)
-        runs.append(gaussian_temperatures(scene, lightly_held(scene)[1]))
+        runs.append(gaussian_temperatures(scene, lightly_held(scene)[1], settings=NOISE_ALONE))
     truth = ring()[2]
     true_c = truth.range.expand((0.5 + C0 * truth.gaussians.sh[:, 0, 0]).numpy())
     found = np.array([r.temperature for r in runs])
@@ -72,7 +75,7 @@ def test_standard_error_is_the_inverse_matrixs() -> None:
     mean_basis = (seen[..., 0] / fit.coverage.pixels[:-1, None]).double()
     variance = torch.einsum("ni,nij,nj->n", mean_basis, blocks, mean_basis)
     exact = (squares / (28 * 1080 - freedom) * variance).sqrt().numpy()
-    found = gaussian_temperatures(scene, model)
+    found = gaussian_temperatures(scene, model, settings=NOISE_ALONE)
     ratio = (found.std / exact)[found.views >= 14]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.15)
     assert np.quantile(ratio, 0.1) > 0.7 and np.quantile(ratio, 0.9) < 1.5  # eight samples
@@ -84,7 +87,7 @@ def test_what_no_view_sees_is_not_known() -> None:
     means[5] = torch.tensor([0.0, 0.0, 400.0])  # out of every view
     scene = noisy(0.5, 9)
     model = fit_thermal(scene, replace(rgb, gaussians=replace(rgb.gaussians, means=means)), SFM_PER_METRE)
-    found = gaussian_temperatures(scene, model)
+    found = gaussian_temperatures(scene, model, settings=NOISE_ALONE)
     values = np.concatenate([f.thermal.ravel() for f in scene.train_frames])
     assert found.views[5] == 0 and 20 < found.views.max() <= 28
     assert found.temperature[5] == pytest.approx(values.mean(), abs=0.3)
@@ -101,3 +104,19 @@ def test_temperatures_are_what_the_views_see() -> None:
     seen = found.views >= 14
     assert np.median(np.abs(found.temperature - true_c)[seen]) < 0.05
     assert (found.std > 0).all() and len(found.std) == len(rgb.gaussians)
+
+
+def test_the_factor_is_by_how_much_differences_are_larger_than_standard_errors() -> None:
+    generator, n = torch.Generator().manual_seed(0), 4000
+    std = 0.1 + torch.rand(n, generator=generator)
+    value, views, covered = torch.randn(n, generator=generator), torch.full((n,), 5.0), torch.full((n,), 4.0)
+    squares, sigma = torch.full((n,), 2.0), 1.5
+    noise = sigma * squares.sqrt() / covered  # of the mean over four pixels that it half covers
+    for size in (0.7, 3.0):
+        off = torch.randn(n, generator=generator) * size * (std.square() + noise.square()).sqrt()
+        check = Check(covered, squares, covered * (value + off))
+        assert check.factor(value, std, sigma, views, CertaintySettings()) == pytest.approx(size, rel=0.06)
+        wrong = replace(check, shown=torch.where(torch.arange(n) < n // 2, check.shown + 100, check.shown))
+        few = torch.where(torch.arange(n) < n // 2, 2.0, views)  # what too few views see does not count
+        assert wrong.factor(value, std, sigma, few, CertaintySettings()) == pytest.approx(size, rel=0.08)
+    assert check.factor(value, std, sigma, torch.zeros(n), CertaintySettings()) == 1.0

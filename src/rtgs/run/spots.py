@@ -1,4 +1,4 @@
-"""Lists the hot and cold spots of a run: `spots.csv` and `spots.json`."""
+"""Lists the hot and cold spots of a run: `spots.csv`, `spots.json`, `spots.geojson`, and a picture of each."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rtgs.base.csv_files import write_csv
+from rtgs.base.files import remove
 from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
@@ -15,14 +16,13 @@ from rtgs.records.georeference import Georeference
 from rtgs.records.scene import Scene
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.folder import RunFolder, refuse_own_folders
+from rtgs.run.spot_files import draw_crops, geojson_of
 from rtgs.thermal.spots import find_spots
 
 COLUMNS = (
     *("number", "kind", "x_m", "y_m", "z_m", "area_m2", "diameter_m", "extreme", "mean", "surroundings", "excess", "std"),
     *("off_reference", "views", "seen_by", "modelled", "modelled_std", "model_differs", "best_frames"),
 )
-
-
 PLACE_COLUMNS = ("latitude_deg", "longitude_deg", "altitude_m")
 
 
@@ -34,13 +34,20 @@ def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, 
     """
     refuse_own_folders(folder, scene, out)
     metres_per_sfm, place = folder.read_scale().metres_per_sfm, folder.read_georeference()
-    found = find_spots(scene, folder.read_thermal(), config, metres_per_sfm=metres_per_sfm, progress=progress)
+    model = folder.read_thermal()
+    found = find_spots(scene, model, config, metres_per_sfm=metres_per_sfm, progress=progress)
     if place is not None:
         found = replace(found, spots=tuple(on_the_earth(spot, place, metres_per_sfm) for spot in found.spots))
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "spots.json", found)
     columns = COLUMNS if place is None else (*COLUMNS, *PLACE_COLUMNS)
     write_csv(out / "spots.csv", columns, [row_of(i + 1, spot, found.reference) for i, spot in enumerate(found.spots)])
+    write_json(out / "spots.geojson", geojson_of(found))
+    pictures = out / "spots"
+    pictures.mkdir(exist_ok=True)
+    for old in pictures.glob("[0-9][0-9][0-9].png"):  # of a list with more spots
+        remove(old)
+    draw_crops(pictures, scene, found, model.sfm_per_metre, metres_per_sfm)
     return found
 
 

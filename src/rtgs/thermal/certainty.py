@@ -51,7 +51,7 @@ def gaussian_temperatures(
 
     So far noise is independent from pixel to pixel. Errors of the geometry are not, and they prevail. Therefore the standard errors are
     multiplied by one factor, so that 95 % intervals hold what the validation frames show of 95 % of the Gaussians that enough views see
-    (`_Check.factor`).
+    (`Check.factor`).
 
     Args:
         settings: None: the defaults.
@@ -83,7 +83,7 @@ def gaussian_temperatures(
         passes.finish()
     sigma = math.sqrt(seen.squares / max(seen.pixels - samples.degrees_of_freedom, 0.1 * seen.pixels))
     noise_std = sigma * variance.sqrt()
-    factor = seen.check.factor(value, noise_std, sigma, seen.views, settings)
+    factor = seen.check.factor(value, noise_std, sigma, seen.views, settings) if settings.calibrate else 1.0
     calibrated = torch.where(seen.views > 0, factor, 1.0) * noise_std
     std = _std_in_degrees(model.color_range, value.numpy(), calibrated.numpy())
     return GaussianTemperatures(model.color_range.expand(value.numpy()), std, seen.views.numpy())
@@ -112,7 +112,7 @@ class Variance:
 
 
 @dataclass(eq=False)
-class _Check:
+class Check:
     """What the validation frames show of each Gaussian, `[N]` each.
 
     Attributes:
@@ -162,7 +162,7 @@ class _Seen:
     bounds: Tensor
     blocks: Tensor
     squares: float
-    check: _Check
+    check: Check
 
     def mean_basis(self) -> Tensor:
         """`[N, K]`: the basis in the mean direction of sight; of the constant band alone where no view sees the Gaussian."""
@@ -187,7 +187,7 @@ def _sum_over_views(
     values, pixels, squares = Variance(), len(data) * float(data.valid.sum()), 0.0
     coverage, views, basis = torch.zeros(n + 1), torch.zeros(n), torch.zeros(n, k, 1)
     bounds, blocks = torch.zeros(n, k, k), torch.zeros(n, k, k)
-    check = _Check(torch.zeros(n), torch.zeros(n), torch.zeros(n))
+    check = Check(torch.zeros(n), torch.zeros(n), torch.zeros(n))
     for f, name in enumerate(data.names):
         signs = 2.0 * torch.randint(0, 2, (*data.valid.shape, settings.probes), generator=generator) - 1.0
         images = data.valid[..., None] * torch.cat([torch.ones_like(signs[..., :1]), signs], dim=-1)

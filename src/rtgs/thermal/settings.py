@@ -152,6 +152,8 @@ class CertaintySettings:
 
     seen_px: float = 0.5
     """A view sees a Gaussian that contributes this much to its pixels, all together. Half a pixel stands out of the noise."""
+    calibrate: bool = True
+    """Multiply standard errors by one factor, from validation frames. Without it they hold the noise alone."""
     fewest_views: int = 3
     """Standard errors are calibrated on Gaussians that so many views see: with fewer there is no depth."""
     fewest_checked: int = 40

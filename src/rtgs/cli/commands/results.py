@@ -55,7 +55,7 @@ def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener
 
     Args:
         run: the run folder.
-        out: folder for spots.csv and spots.json.
+        out: folder for spots.csv, spots.json, spots.geojson, and a picture of each spot.
         config: what counts as a spot.
     """
     from rtgs.run.folder import RunFolder
