@@ -41,7 +41,7 @@ def truths(problem: Problem, model: ThermalModel) -> tuple[Floats, Floats]:
     scene: Scene = problem.scene
     data = ThermalFrames.of(scene, scene.train_frames, model.sfm_per_metre, model.color_range)
     design = Design(model.gaussians, scene.rig.thermal, data.poses, model.gaussians.sh_degree, model.settings)
-    n, ray_caster = len(model.gaussians), compiled_scene(problem.name.split("-")[0])  # type: ignore[arg-type]
+    n, ray_caster = len(model.gaussians), compiled_scene(problem.name.split("-")[0])
     means = scene.given_from_world.apply(model.gaussians.means.numpy().astype(np.float64)) / model.sfm_per_metre
     shown, covered, surface, met = (np.zeros(n) for _ in range(4))
     for f, name in enumerate(data.names):
