@@ -49,3 +49,11 @@ def test_light_casts_shadows_and_hidden_surfaces_are_nearer_air_temperature() ->
     hidden_c, open_c = model.temperature_c(hits)
     assert 20 + 0.6 * 40 - 1e-6 <= hidden_c < open_c - 5
     assert open_c <= 60 + 1e-6
+
+
+def test_temperatures_are_not_rounded_where_the_background_is_a_whole_number() -> None:
+    ball = Part(sphere(0.12, 64), Material(), (0.0, 0.0, 0.0), 30.7)
+    model = CompiledModel(Model((ball,), (), ambient_c=30.7, background_c=5))
+    rig = true_rig(SynthConfig(size=32))
+    image = render_thermal(model, rig.thermal, look_at((3.1, -2.0, 1.4), (0.0, 0.0, 0.0)), 1)
+    assert set(np.unique(image)) == {np.float32(5.0), np.float32(30.7)}

@@ -240,7 +240,7 @@ def render_values(
     """`[H, W]` float32: the mean over a pixel's rays of a value `[H]` of their hits, or of the background's."""
 
     def shade(origins: Floats, directions: Floats) -> Floats:
-        out = np.full((len(origins), 1), background)
+        out = np.full((len(origins), 1), background, dtype=np.float64)  # an integer would round every value
         hits = model.hits(origins, directions)
         if len(hits.ray):
             out[hits.ray, 0] = value(hits)
