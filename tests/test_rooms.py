@@ -31,6 +31,7 @@ ROOMS = [
     "metres",
     "thermal",
     "evaluation",
+    "doctor",
     "run",
     "experiments",
     "viewer",

@@ -27,6 +27,7 @@ ARGUMENTS = {
     "scale": ["--init", "--steps", "--learning-rate", "--scan-samples", "--level-weights"],
     "thermal": ["--steps", "--sh-degree", "--ssim-weight"],
     "eval": ["the run folder"],
+    "doctor": ["folder with rgb/"],
     "render": ["--out", "--frames", "--viewpoint"],
     "spots": ["--out", "--excess", "--above", "--below", "--percentile", "--reference", "--fewest-views"],
     "view": ["--spots", "--host", "--port", "--no-browser"],

@@ -1,6 +1,7 @@
 """The command line: `rtgs COMMAND`. No algorithm lives here, and a command imports what it runs: help should not wait for torch.
 
-Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one message on stderr), 130 stopped with Ctrl-C,
+Exit codes: 0 done, 1 a defect of the program, 2 input that cannot be used (one message on stderr), 3 a capture with warnings
+(`rtgs doctor`), 130 stopped with Ctrl-C,
 143 stopped with SIGTERM, 141 whoever read the output has ended.
 """
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 FLAGS = {
     "--quiet": "say nothing but warnings and errors",
-    "--json": "print results as JSON: one object a line; `rtgs info` prints one object",
+    "--json": "print results as JSON: one object a line; `rtgs info` and `rtgs doctor` print one object",
     "--debug": "show the traceback behind an error",
 }
 

@@ -10,7 +10,7 @@ from typing import Any
 from rtgs.cli.manners import FLAGS
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
-    "Make a capture": ("import", "calibrate", "synth"),
+    "Make a capture": ("import", "calibrate", "doctor", "synth"),
     "Run the method": ("run", "demo"),
     "One stage at a time": ("sfm", "rgb", "scale", "thermal", "eval"),
     "Use the result": ("view", "render", "spots", "export", "share", "info"),
@@ -20,6 +20,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 EXAMPLES = (
     ("rtgs demo", "the whole method on a small made-up capture"),
     ("rtgs import flir photographs --out capture", "radiometric JPEGs become a capture"),
+    ("rtgs doctor capture", "whether it will work, in seconds"),
     ("rtgs run capture --out run", "the whole method; run/report.html is the result"),
     ("rtgs run capture --out run --scale.solver adam", "again from the scale on, with another solver"),
     ("rtgs spots run --out spots --above 60", "what is warmer than 60 °C"),

@@ -10,6 +10,7 @@ from rtgs.base.events import Listener
 from rtgs.cli.commands.calibrate import calibrate, target
 from rtgs.cli.commands.convert import import_photographs, make_synthetic
 from rtgs.cli.commands.demo import demo
+from rtgs.cli.commands.doctor import doctor
 from rtgs.cli.commands.experiment import experiment, real, synthetic
 from rtgs.cli.commands.info import info
 from rtgs.cli.commands.results import export_models, render_images, share, spots
@@ -35,6 +36,7 @@ def all_commands(saved: RunConfig, listener: Listener, *, as_json: bool = False)
         "scale": partial(scale, config=saved.scale),
         "thermal": partial(thermal, config=saved.thermal),
         "eval": score,
+        "doctor": partial(doctor, as_json=as_json),
         "render": render_images,
         "spots": partial(spots, config=SpotsConfig()),
         "view": view,

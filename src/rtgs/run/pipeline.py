@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.events import Listener, ResultLine, nobody
+from rtgs.base.events import Listener, ResultLine, WarningLine, nobody
 from rtgs.config import RunConfig
+from rtgs.doctor import examine
 from rtgs.records.capture import Capture
 from rtgs.renderer import check_backend
 from rtgs.rgb.imported import model_from_ply
@@ -124,6 +125,21 @@ class Pipeline:
             RtgsError: the capture, or the model to import, has gone.
         """
         return fingerprints(self.content(), self.saved.config, self.stages)
+
+    def examine(self) -> None:
+        """Say what is doubtful about the capture before the first work on it. Does nothing where that has been done.
+
+        Raises:
+            RtgsError: nothing can come of the capture.
+        """
+        first = self.stages[0]
+        if self.folder.is_complete(first, self.fingerprints()[first.name]):
+            return
+        diagnosis = examine(self.capture)
+        for finding in diagnosis.of("warning"):
+            self.listener(WarningLine(f"{finding.text}. {finding.remedy}"))
+        if errors := diagnosis.of("error"):
+            raise RtgsError(f"{self.saved.capture}: {errors[0].text}. {errors[0].remedy}")
 
     def run(self, last: StageName = "evaluate", *, again: bool = False) -> None:
         """Do every stage up to `last` that is not complete; with `again`, `last` itself in any case.

@@ -32,6 +32,7 @@ def run(capture: Folder, out: Path, config: Annotated[RunConfig, Flat], listener
 
     with Pipeline.start(capture, out, config, listener) as pipeline:
         try:
+            pipeline.examine()
             pipeline.run()
         except BaseException:
             if pipeline.accepted:  # else nothing has changed

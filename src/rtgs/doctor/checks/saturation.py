@@ -1,0 +1,26 @@
+"""Thermal pixels at the end of their range."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtgs.doctor.patient import Patient, some
+from rtgs.doctor.records import Finding
+
+_SHARE = 0.01  # of the pixels, at one extreme value
+
+
+def check(patient: Patient) -> list[Finding]:
+    """Many pixels have exactly the highest or the lowest count of all images."""
+    low = min(look.counts.min() for look in patient.looks)
+    high = max(look.counts.max() for look in patient.looks)
+    at_end = [
+        look.name
+        for look in patient.looks
+        if look.counts.min() < look.counts.max() and max(np.mean(look.counts == low), np.mean(look.counts == high)) > _SHARE
+    ]
+    if len(at_end) <= len(patient.looks) / 20:
+        return []
+    text = f"in {len(at_end)} thermal images a hundredth of the pixels or more is at the end of the range: {some(at_end)}"
+    remedy = "Switch the camera to its larger range of temperatures; what is cut off cannot be brought back."
+    return [Finding("saturation", "warning", text, remedy)]
