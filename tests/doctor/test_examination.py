@@ -130,7 +130,7 @@ FAULTS: dict[str, tuple[Fault, str, str, str]] = {
     "palette": (stretched, "doubtful", "palette", "stretched"),
     "looks away": (looks_away, "unusable", "calibration", "0 %"),
     "turns": (other_way(made.turn), "doubtful", "parallax", "turns"),
-    "no overlap": (other_way(made.far_apart), "unusable", "overlap", "no two"),
+    "no overlap": (other_way(made.far_apart), "unusable", "overlap", "no two RGB"),
 }
 
 

@@ -62,8 +62,8 @@ def turn(i: int) -> SE3:
 
 
 def far_apart(i: int) -> SE3:
-    """Every photograph of another part of a wall without an end."""
-    return SE3(np.eye(3), np.array([8.0 * i, 0.0, -WALL_M]))
+    """From near by, every photograph of another part of the wall."""
+    return SE3(np.eye(3), np.array([1.2 * (i % 4), 1.2 * (i // 4), -0.25 * WALL_M]))
 
 
 def write_rgb(path: Path, rgb: Array, *, time_s: float = 0, orientation: int = 1) -> None:

@@ -18,6 +18,7 @@ _LEAST = 20  # matches of a pair that overlaps
 _PIXELS = 1.5
 _TURN_ALONE = 0.9  # of the matches: a homography without a moving camera explains them
 _MOST_PAIRS = 20
+_FEW = 12  # images of which all pairs are compared
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,8 @@ def check(patient: Patient) -> list[Finding]:
     usual = float(np.median([pair.matches for pair in pairs]))
     found = [Finding("overlap", "note", f"neighbouring RGB images share {usual:.0f} features (median of {len(pairs)} pairs)")]
     remedy = "Overlap neighbours by two thirds, and show texture: where there is none, put posters or markers."
-    if len(apart) == len(pairs):
-        found.append(
-            Finding("overlap", "error", "no two neighbouring RGB images share features, so that no pose can be found", remedy)
-        )
+    if len(apart) == len(pairs) and not _any_two(patient):
+        found.append(Finding("overlap", "error", "no two RGB images share features, so that no pose can be found", remedy))
     elif len(apart) > len(pairs) / 3:
         text = f"{len(apart)} of {len(pairs)} neighbouring RGB images hardly overlap, {some(apart)} among them"
         found.append(Finding("overlap", "warning", text, remedy))
@@ -51,12 +50,24 @@ def check(patient: Patient) -> list[Finding]:
 
 
 def _pairs(patient: Patient) -> list[_Pair]:
-    looks, detector = patient.looks, cv2.SIFT_create(_FEATURES)  # type: ignore[attr-defined]
+    looks = patient.looks
     chosen = list(range(len(looks) - 1))[:: max(1, (len(looks) - 1) // _MOST_PAIRS)]
-    features = {}
-    for i in sorted({*chosen, *(i + 1 for i in chosen)}):
-        features[i] = detector.detectAndCompute((255 * np.clip(looks[i].grey, 0, 1)).astype(np.uint8), None)
+    features = {i: _features(looks[i]) for i in sorted({*chosen, *(i + 1 for i in chosen)})}
     return [_compare(patient, looks[i], looks[i + 1], features[i], features[i + 1]) for i in chosen]
+
+
+def _any_two(patient: Patient) -> bool:
+    """Whether two images overlap that are no neighbours: photographs may be in any order."""
+    looks = patient.looks[:: max(1, len(patient.looks) // _FEW)][:_FEW]
+    features = [_features(look) for look in looks]
+    pairs = ((i, j) for i in range(len(looks)) for j in range(i))
+    return any(_compare(patient, looks[i], looks[j], features[i], features[j]).matches >= _LEAST for i, j in pairs)
+
+
+def _features(look: Look) -> Any:
+    """Places and descriptions of features; None in place of descriptions where there are none."""
+    detector = cv2.SIFT_create(_FEATURES)  # type: ignore[attr-defined]
+    return detector.detectAndCompute((255 * np.clip(look.grey, 0, 1)).astype(np.uint8), None)
 
 
 def _compare(patient: Patient, first: Look, second: Look, a: Any, b: Any) -> _Pair:
