@@ -23,7 +23,8 @@ noise-free temperatures at the same pixels (`hot_spot_scores.py`):
 - distractor: what the fit with the distractor shows more than the fit without it, where training photographs had it, as a share of it;
 - seconds of the processor of the fit with features, and its Gaussians; the highest peak of memory of the three fits.
 
-Prints Markdown. DIR/SCENE-….png shows crops of the features: truth, and every variant. Needs Linux for the memory.
+Prints Markdown: for each scene over its seeds, and for all; on standard error, for each capture as it is measured.
+DIR/SCENE-….png shows crops of the features: truth, and every variant. Needs Linux for the memory.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ import ctypes
 import gc
 import json
 import re
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -371,9 +373,8 @@ def main() -> None:
                 renders[variant] = np.load(stored)
             draw(args.out / f"{problem.name}.png", problem, renders)
             results[problem.name] = kept[problem.name]
-            print(table({problem.name: results[problem.name]}, args.variants), flush=True)
-    if len(results) > 1:
-        print("\n" + table(results, args.variants))
+            print(table({problem.name: results[problem.name]}, args.variants), file=sys.stderr, flush=True)
+    print(table(results, args.variants))
 
 
 if __name__ == "__main__":

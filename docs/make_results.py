@@ -72,6 +72,7 @@ PAGES = {
         Page("thermal-adam", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene}", scenes=SCENES),
         Page("thermal-truth", "python benchmarks/thermal.py --scene {scene} --out {out}/{scene} --steps ''", scenes=SCENES),
         Page("thermal-rules", "python benchmarks/thermal_rules.py --out {out} --run {run}"),
+        Page("hot-spots", "python benchmarks/hot_spots.py --out {out}"),
         Page("renderer-speed", "python benchmarks/render.py"),
         Page("renderer-rivals", "python benchmarks/render.py --only rival"),
         Page(

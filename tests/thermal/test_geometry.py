@@ -82,11 +82,12 @@ def test_without_spots_nothing_is_worse(config: ThermalConfig) -> None:
     assert errors[1] <= 1.02 * errors[0]
 
 
+@BOTH
 @pytest.mark.thorough
-def test_a_geometry_that_validation_frames_do_not_want_is_not_kept() -> None:
+def test_a_geometry_that_validation_frames_do_not_want_is_not_kept(config: ThermalConfig) -> None:
     """Nothing is missing in the ball of `ring`, whose geometry is exact: halves of its Gaussians only blur it."""
     scene, rgb, _ = ring()
-    frozen, follows = (fit_thermal(scene, rgb, SFM_PER_METRE, config) for config in (FROZEN, FOLLOW))
+    frozen, follows = (fit_thermal(scene, rgb, SFM_PER_METRE, c) for c in (FROZEN, config))
     decision = follows.decisions[-1]
     assert decision.choice == "frozen" and decision.reason.startswith("Tried and not kept")
     assert decision.error_before is not None and decision.error_after is not None

@@ -20,8 +20,8 @@ class ThermalConfig:
     """"linear": least squares by conjugate gradients. "adam": the paper's solver; the settings after `sh_degree` are for it alone."""
     geometry: GeometrySetting = "follow"
     """"follow": Gaussians are split where the thermal images show more than RGB needed, so that the thermal model has more of them than the
-    RGB model (linear solver). "refine": they are also moved and reshaped before, which takes longer. "frozen": the RGB model's Gaussians
-    as they are, the paper's protocol."""
+    RGB model (linear solver). "refine": they are also moved and reshaped before, if validation frames agree. "frozen": the RGB model's
+    Gaussians as they are, the paper's protocol."""
     drift: DriftSetting = "auto"
     """Drift of each photograph (linear solver): an offset, or a gain and an offset. "auto" decides it on validation frames, which are
     training frames that are left out of the fit meanwhile."""

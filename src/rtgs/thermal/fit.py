@@ -124,7 +124,7 @@ class Fit:
         return replace(self, data=replace(self.data, images=tuple(y - pattern for y in self.data.images)))
 
     def on(self, other: Fit) -> Fit:
-        """The same photographs, on the Gaussians of another fit and with its settings."""
+        """The same photographs, on the Gaussians of another fit."""
         return replace(other, data=self.data)
 
     def surface(self) -> Tensor:

@@ -30,8 +30,7 @@ def choose_geometry(
         kind, factor, found: drift, ridge and the model so far.
 
     Returns:
-        The Gaussians that are kept, their fit (with the same photographs, and settings that suit them), their model without validation
-        frames, and the decision.
+        The Gaussians that are kept, their fit (with the same photographs), their model without validation frames, and the decision.
     """
     fit, before = validation.fit, geometry.gaussians
     if not validation.frames:
@@ -53,11 +52,9 @@ def choose_geometry(
     x = torch.cat([coarse.design.harmonics(shown.x)[finer.parents].flatten(0, 1), shown.x[-1:]])
     design = geometry.design(finer.gaussians)
     unseen = torch.cat([sh.C0 * design.harmonics(x)[:, 0, 0], x[-1]])
-    settings = replace(fit.settings, last_iterations=fit.settings.last_iterations * numbers.iterations_times)
 
     def fitted_on(frames: range | list[int]) -> Fit:
-        coverage = measure_coverage(design, fit.data, settings, fit.each, frames, unseen)
-        return replace(fit, design=design, coverage=coverage, settings=settings)
+        return replace(fit, design=design, coverage=measure_coverage(design, fit.data, fit.settings, fit.each, frames, unseen))
 
     on_others = Validation(fitted_on(validation.others), validation.frames)
     stopping = EarlyStopping(on_others, [kind], fit.settings.stop_share_ridge)
@@ -70,6 +67,8 @@ def choose_geometry(
     reason = _reason(before, finer, still / max(missed, 1e-30) - 1.0, change)
     if still >= missed or change > numbers.most_harm:
         design.release()
+        if geometry.moves:  # halves of Gaussians where they were may be better
+            return choose_geometry(validation, kind, factor, found, replace(geometry, moves=False))
         return before, fit, found, measured("geometry", "frozen", f"Tried and not kept: {reason}", validation, errors, None)
     return (
         finer.gaussians,

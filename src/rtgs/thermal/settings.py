@@ -39,9 +39,6 @@ class FollowSettings:
     depth_share: float = 0.03
     """Two views see the same place where their depths differ by less than this share. Depths of a trained model are good to a hundredth or
     two."""
-    iterations_times: int = 2
-    """`LinearSettings.last_iterations` is multiplied by this: there are more unknowns. At 1 the error on validation frames is 2 % higher,
-    and lines are fainter."""
     steps: int = 200
     """Steps of Adam on the geometry (`ThermalConfig.geometry = "refine"`), one photograph each. Half as many gain half as much on a
     synthetic room."""
