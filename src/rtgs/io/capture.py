@@ -35,6 +35,7 @@ from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera, Undistortion
 from rtgs.records.capture import Capture, Frame, Poses
 from rtgs.records.radiometry import Radiometry
+from rtgs.records.rgb_camera import RgbStart
 from rtgs.records.rig import Rig
 from rtgs.records.world import rounding, spread
 
@@ -69,7 +70,7 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
         raise RtgsError(f"{root}: no such folder. A capture holds rgb/, thermal/ and rig.json.")
     if rgb_max_side < 1:
         raise RtgsError(f"rgb_max_side is {rgb_max_side}; it is a number of pixels above 0.")
-    rig_file = read_rig(root / "rig.json")
+    rig_file = read_rig(root / "rig.json", lambda: read_header(next(iter(_paired_files(root)[0].values()))))
     warnings = list(rig_file.warnings)
     rgb_files, thermal_files = _paired_files(root)
     warnings += _other_form(rgb_files, thermal_files)
@@ -78,45 +79,59 @@ def load_capture(root: Path | str, *, rgb_max_side: int = 960, cache_bytes: int 
     for header in thermal_headers:
         check_counts_mode(header)
     check_formats(thermal_headers, rig_file.radiometry)
-    raw_rig = rig_file.rig
+    raw_rig, rgb_start = rig_file.rig, rig_file.rgb_start
     _check_sizes(root / "rig.json", "thermal", raw_rig.thermal, thermal_headers)
-    camera, poses, upright = _read_poses(root, raw_rig.rgb, rgb_headers, warnings)
+    camera, poses, upright = _read_poses(root, raw_rig.rgb, rgb_headers, warnings, rgb_start)
     raw_rig = replace(raw_rig, rgb=camera)
-
     cache = ImageCache(Memory.of().images if cache_bytes is None else cache_bytes)
-    rgb_size = _size_within(raw_rig.rgb, rgb_max_side)
-    reductions = {header.path: reduction_for(header, rgb_size) for header in rgb_headers}
-    images = _Images(raw_rig, rig_file.radiometry, rgb_size, cache, upright, reductions)
     with ThreadPoolExecutor(max_workers=_readers(rgb_headers + thermal_headers, cache.max_bytes)) as pool:
         try:
-            checked = list(pool.map(images.check, rgb_files.values(), thermal_files.values()))
+            check = partial(_checked, rig_file.radiometry)
+            checked = list(pool.map(check, rgb_files.values(), thermal_files.values()))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
     check_together(checked, list(rgb_files.values()), rig_file.radiometry)
-    images.leave_out(common_no_data(checked, warnings))
-    return Capture(
-        root=root,
-        raw_rig=raw_rig,
-        rig=replace(raw_rig, rgb=raw_rig.rgb.pinhole().resized(*images.rgb_size), thermal=raw_rig.thermal.pinhole()),
-        frames=tuple(
-            Frame(name, partial(images.rgb, path), partial(images.thermal, thermal_files[name]), header.time_s)
-            for (name, path), header in zip(rgb_files.items(), rgb_headers, strict=True)
-        ),
-        rgb_mask=images.rgb_mask,
-        thermal_mask=images.thermal_mask,
-        radiometry=rig_file.radiometry,
-        poses=poses,
-        warnings=tuple(warnings),
-        rgb_upright=upright,
-        release_images=cache.clear,
-    )
+    no_data = common_no_data(checked, warnings)
+
+    def with_camera(camera: Camera) -> Capture:
+        rig = replace(raw_rig, rgb=camera)
+        rgb_size = _size_within(camera, rgb_max_side)
+        reductions = {header.path: reduction_for(header, rgb_size) for header in rgb_headers}
+        images = _Images(rig, rig_file.radiometry, rgb_size, cache, upright, reductions)
+        images.leave_out(no_data)
+        return Capture(
+            root=root,
+            raw_rig=rig,
+            rig=replace(rig, rgb=camera.pinhole().resized(*rgb_size), thermal=rig.thermal.pinhole()),
+            frames=tuple(
+                Frame(name, partial(images.rgb, path), partial(images.thermal, thermal_files[name]), header.time_s)
+                for (name, path), header in zip(rgb_files.items(), rgb_headers, strict=True)
+            ),
+            rgb_mask=images.rgb_mask,
+            thermal_mask=images.thermal_mask,
+            radiometry=rig_file.radiometry,
+            poses=poses,
+            warnings=tuple(warnings),
+            rgb_upright=upright,
+            release_images=cache.clear,
+            rgb_start=rgb_start if poses is None else None,
+            with_camera=with_camera,
+        )
+
+    return with_camera(camera)
 
 
 def _readers(headers: list[ImageHeader], most_bytes: int) -> int:
     """How many files are checked at once: one for each core, and no more than decode into the memory that images may take."""
     largest = max(header.stored_size[0] * header.stored_size[1] for header in headers)
     return max(1, min(8, os.cpu_count() or 1, most_bytes // (_CHECK_BYTES * largest)))
+
+
+def _checked(radiometry: Radiometry, rgb: Path, thermal: Path) -> ThermalFile:
+    """Refuse files that could not be made images of later; what the thermal one holds."""
+    check_rgb(rgb)
+    return check_thermal_file(thermal, radiometry)
 
 
 class _Images:
@@ -140,6 +155,7 @@ class _Images:
     ) -> None:
         self.rgb_size, self._rgb_upright = rgb_size, rgb_upright
         self._radiometry, self._cache, self._reductions = radiometry, cache, reductions
+        self._camera = raw_rig.rgb
         self._rgb_undistortions = {n: Undistortion(raw_rig.rgb.reduced(n)) for n in set(reductions.values())}
         self._thermal_undistortion = Undistortion(raw_rig.thermal)
         masks = [_shrink(u.mask.astype(np.float32), rgb_size) > 1 - 1e-4 for u in self._rgb_undistortions.values()]
@@ -154,18 +170,13 @@ class _Images:
             image = read_rgb(path, upright=self._rgb_upright, reduction=reduction)
             return _shrink(_undistorted(self._rgb_undistortions[reduction], path, image), self.rgb_size)
 
-        return self._cache.get(path, make)
+        return self._cache.get((path, self._camera), make)  # of this camera: another one undistorts otherwise
 
     def thermal(self, path: Path) -> NDArray[np.float32]:
         """`[h, w]` in the unit of the radiometry, undistorted."""
         return self._cache.get(
             path, lambda: _undistorted(self._thermal_undistortion, path, thermal_values(path, self._radiometry)[0])
         )
-
-    def check(self, rgb: Path, thermal: Path) -> ThermalFile:
-        """Refuse files that could not be made images of later; what the thermal one holds."""
-        check_rgb(rgb)
-        return check_thermal_file(thermal, self._radiometry)
 
     def leave_out(self, no_data: NDArray[np.bool_] | None) -> None:
         """Take pixels `[h, w]` of the thermal files out of the thermal mask."""
@@ -223,7 +234,7 @@ def _check_sizes(path: Path, which: str, camera: Camera, headers: list[ImageHead
 
 
 def _read_poses(
-    root: Path, calibrated: Camera, headers: list[ImageHeader], warnings: list[str]
+    root: Path, calibrated: Camera, headers: list[ImageHeader], warnings: list[str], start: RgbStart | None
 ) -> tuple[Camera, Poses | None, bool]:
     """The RGB camera that counts, the poses of frames that exist, and whether the images are turned upright.
 
@@ -260,13 +271,19 @@ def _read_poses(
     upright = _posed_upright(source.relative_to(root), camera, headers, warnings)
     _check_sizes(root / "rig.json", "rgb", calibrated, headers, upright=upright)
     if camera is None:
+        if start is not None:
+            raise RtgsError(
+                f"{root / 'rig.json'}: rgb leaves out its {' and '.join(start.unknown)}, and {source} gives poses without intrinsics. Give "
+                "all fields of rgb, or remove the poses, and structure from motion will find both."
+            )
         return calibrated, Poses(known, poses.points), upright
     if (camera.width, camera.height) != (calibrated.width, calibrated.height):
         raise RtgsError(
             f"{source}: its camera is {camera.width}×{camera.height}, but the images in rgb/ are "
             f"{calibrated.width}×{calibrated.height}. Use the images that the poses were computed from."
         )
-    _compare(source.relative_to(root), camera, calibrated, warnings)
+    if start is None:
+        _compare(source.relative_to(root), camera, calibrated, warnings)
     return camera, Poses(known, poses.points), upright
 
 

@@ -62,7 +62,7 @@ def read_sparse(folder: Path) -> tuple[Camera, Poses]:
     images = [image for i, image in model.images.items() if image.has_pose and not in_thermal_folder(file_names[i])]
     if not images:
         raise RtgsError(f"{folder}: holds no registered RGB image. Remove the folder to run structure from motion instead.")
-    cameras = [_camera_from_colmap(folder, model.cameras[i]) for i in sorted({image.camera_id for image in images})]
+    cameras = [camera_from_colmap(folder, model.cameras[i]) for i in sorted({image.camera_id for image in images})]
     if any(camera != cameras[0] for camera in cameras):
         raise RtgsError(
             f"{folder}: the RGB images have {len(cameras)} different cameras, and one is expected. Run COLMAP with "
@@ -334,7 +334,12 @@ _WALKS = {
 }
 
 
-def _camera_from_colmap(folder: Path, camera: pycolmap.Camera) -> Camera:
+def camera_from_colmap(folder: Path, camera: pycolmap.Camera) -> Camera:
+    """A camera of a COLMAP model; `folder` begins the messages.
+
+    Raises:
+        RtgsError: a model that is not known, or values that no camera has.
+    """
     model = camera.model_name
     if model not in DISTORTION_OF_MODEL:
         raise RtgsError(f"{folder}: camera model {model} is not known. It is one of {', '.join(DISTORTION_OF_MODEL)}.")

@@ -32,6 +32,7 @@ MOST_JPEG_PIXELS = 500_000_000  # a JPEG is decoded at a fraction of its size, b
 REDUCTIONS = (8, 4, 2)  # at which a JPEG can be decoded
 SPARE = 2  # a reduced JPEG keeps this many pixels for one that is wanted, so that undistorting it loses nothing that can be seen
 _ORIENTATION, _DATE_TIME, _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS_ORIGINAL = 0x0112, 0x0132, 0x8769, 0x9003, 0x9291
+_FOCAL_LENGTH_35MM = 0xA405
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_PHOTOMETRIC, _TIFF_SAMPLE_FORMAT = 0x0100, 0x0101, 0x0102, 0x0106, 0x0153
 _MIN_IS_WHITE, _UNSIGNED, _SIGNED, _FLOAT, _GDAL_NODATA = 0, 1, 2, 3, 0xA481
 # Pillow decodes floats of 64 bits, and does not know TIFFs of them: NumPy's and MATLAB's default numbers.
@@ -64,6 +65,7 @@ class ImageHeader:
             differences between files of one camera mean something.
         no_data: the count that marks pixels without a value, as the tag GDAL_NODATA of a TIFF gives it; None when it does not.
         bits: of one number in the file.
+        equivalent_mm: the 35 mm equivalent of the focal length that EXIF states, over the picture's diagonal; None when it does not.
     """
 
     path: Path
@@ -74,6 +76,7 @@ class ImageHeader:
     time_s: float | None = None
     no_data: float | None = None
     bits: int = 8
+    equivalent_mm: float | None = None
 
     def size(self, *, upright: bool = True) -> tuple[int, int]:
         """Width and height: of the picture with its orientation applied, or of the stored pixels."""
@@ -129,9 +132,10 @@ def read_header(path: Path) -> ImageHeader:
     """
     with opened(path) as image:
         bits = _bits(image)  # before EXIF is asked for: Pillow decodes a PNG for it, and then forgets
-        time_s, no_data = _time_s(image.getexif()), _no_data(image)
+        exif = image.getexif()
+        time_s, equivalent_mm, no_data = _time_s(exif), _equivalent_mm(exif), _no_data(image)
         kind = image.format or "", image.mode, _orientation(image)
-        return ImageHeader(path, _stored_size(image), *kind, time_s, no_data, bits)
+        return ImageHeader(path, _stored_size(image), *kind, time_s, no_data, bits, equivalent_mm)
 
 
 @contextmanager
@@ -211,6 +215,21 @@ def _time_s(exif: Image.Exif) -> float | None:
         return whole + (float(f"0.{subseconds}") if subseconds.isdecimal() else 0.0)
     except (OSError, SyntaxError, ValueError, TypeError, struct.error):  # a damaged entry: the image is good without it
         return None
+
+
+def _equivalent_mm(exif: Image.Exif) -> float | None:
+    try:
+        value = float(exif.get_ifd(_EXIF_IFD).get(_FOCAL_LENGTH_35MM) or 0)
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        TypeError,
+        ZeroDivisionError,
+        struct.error,
+    ):  # damaged: the image is good without it
+        return None
+    return value if 0 < value < 1e5 else None
 
 
 def reduction_for(header: ImageHeader, size: tuple[int, int]) -> int:

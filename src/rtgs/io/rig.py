@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ import numpy as np
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import read_json, write_json
+from rtgs.io.image_files import ImageHeader
+from rtgs.io.rgb_start import completed_rgb
 from rtgs.maths.geometry import SE3, is_rotation, nearest_rotation
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
 from rtgs.records.radiometry import (
@@ -24,6 +26,7 @@ from rtgs.records.radiometry import (
     Radiometry,
     RelativeCounts,
 )
+from rtgs.records.rgb_camera import RgbStart
 from rtgs.records.rig import CalibrationStd, Rig
 
 _SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
@@ -47,16 +50,21 @@ class RigFile:
     Attributes:
         rig: cameras with their lenses; translation in metres.
         radiometry: what counts mean.
+        rgb_start: what of the RGB camera is to be found; None where the file gives all of it.
         warnings: fields that were not understood, an implausible baseline.
     """
 
     rig: Rig
     radiometry: Radiometry
     warnings: tuple[str, ...] = ()
+    rgb_start: RgbStart | None = None
 
 
-def read_rig(path: Path) -> RigFile:
+def read_rig(path: Path, photograph: Callable[[], ImageHeader] | None = None) -> RigFile:
     """Read and check `rig.json`.
+
+    Args:
+        photograph: gives the header of an RGB file, from which fields of `rgb` that are left out are filled in; None: none may be.
 
     Raises:
         RtgsError: the file is missing or isn't JSON; a field is missing or has a wrong value; the transform isn't rigid; the
@@ -64,6 +72,9 @@ def read_rig(path: Path) -> RigFile:
     """
     data = read_json_object(path, missing="It holds both cameras and the transform between them.")
     warnings: list[str] = []
+    rgb_start = None
+    if photograph is not None and isinstance(data.get("rgb", {}), dict):
+        data["rgb"], rgb_start = completed_rgb(path, data.get("rgb", {}), photograph)
     rgb = camera_from_json(path, "rgb", _member(path, data, "rgb"), warnings)
     thermal_data = _member(path, data, "thermal")
     thermal = camera_from_json(path, "thermal", thermal_data, warnings, more_fields=_RADIOMETRY)
@@ -77,7 +88,7 @@ def read_rig(path: Path) -> RigFile:
         warnings.append(
             f"{path.name}: the baseline is {rig.baseline_m:g} m. Translations are in metres; is this one in millimetres?"
         )
-    return RigFile(rig, radiometry, tuple(warnings))
+    return RigFile(rig, radiometry, tuple(warnings), rgb_start)
 
 
 def write_rig(path: Path, rig: Rig, radiometry: Radiometry) -> None:

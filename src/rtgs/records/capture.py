@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias, overload
 
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
+from rtgs.records.camera import Camera
 from rtgs.records.radiometry import Radiometry
+from rtgs.records.rgb_camera import FoundRgbCamera, RgbStart
 from rtgs.records.rig import Rig
 
 Image: TypeAlias = NDArray[np.float32]
@@ -106,6 +108,9 @@ class Capture:
         warnings: sentences for a person, on things that do not stop a run.
         rgb_upright: whether the orientation tags of the RGB files are applied; False where poses belong to the stored pixels.
         release_images: gives the memory of images back that the frames keep. They are loaded again when they are asked for.
+        rgb_start: what of the RGB camera `rig.json` leaves out; None where nothing. `raw_rig.rgb` is then only where its search starts.
+        found_rgb: what structure from motion found of it; the images are undistorted by this camera.
+        with_camera: gives the same capture with another RGB camera for its files; None for captures that were not read from files.
     """
 
     root: Path
@@ -119,6 +124,14 @@ class Capture:
     warnings: tuple[str, ...] = ()
     rgb_upright: bool = True
     release_images: Callable[[], None] = lambda: None
+    rgb_start: RgbStart | None = None
+    found_rgb: FoundRgbCamera | None = None
+    with_camera: Callable[[Camera], Capture] | None = None
+
+    def with_found_rgb(self, found: FoundRgbCamera) -> Capture:
+        """The capture with the RGB camera that was found, and its images undistorted by it."""
+        assert self.with_camera is not None
+        return replace(self.with_camera(found.camera), found_rgb=found, warnings=self.warnings)
 
 
 @dataclass(frozen=True)

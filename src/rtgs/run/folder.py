@@ -208,8 +208,18 @@ class RunFolder:
         Args:
             refined: False for the rig as calibrated in any case.
         """
+        if capture.rgb_start is not None and capture.found_rgb is None:
+            capture = self._with_found_rgb(capture)
         scene = read_scene(self.path / "scene", capture).in_world_of(self.given_from_world)
         return self.read_scale().refined_scene(scene) if refined and (self.path / "scale.json").exists() else scene
+
+    def _with_found_rgb(self, capture: Capture) -> Capture:
+        """The capture with the RGB camera that the sfm stage found."""
+        path = self.path / "capture_summary.json"
+        found = CaptureSummary.read(path).rgb_camera
+        if found is None:
+            raise RtgsError(f"{path}: does not hold the RGB camera that structure from motion found. Remove it and run again.")
+        return capture.with_found_rgb(found)
 
     def write_summary(self, scene: Scene) -> None:
         """`capture_summary.json`, for the report."""

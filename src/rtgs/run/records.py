@@ -12,6 +12,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import from_json, read_json
 from rtgs.maths.geometry import Sim3
 from rtgs.records.radiometry import Unit
+from rtgs.records.rgb_camera import FoundRgbCamera
 from rtgs.records.scene import Scene
 
 _EARLIER_UNITS = {"celsius": "°C", "relative": "counts"}
@@ -28,6 +29,7 @@ class CaptureSummary:
         unit: of thermal images; "counts" where `rig.json` gives no radiometry.
         rgb_size, thermal_size: width and height in pixels, as used.
         baseline_m: distance between the two cameras in metres; None where nothing states it.
+        rgb_camera: what structure from motion found of the RGB camera; None where `rig.json` or the poses give all of it.
     """
 
     frames: int
@@ -38,6 +40,7 @@ class CaptureSummary:
     rgb_size: tuple[int, int]
     thermal_size: tuple[int, int]
     baseline_m: float | None = None
+    rgb_camera: FoundRgbCamera | None = None
 
     @staticmethod
     def of(scene: Scene) -> CaptureSummary:
@@ -52,6 +55,7 @@ class CaptureSummary:
             rgb_size=(rig.rgb.width, rig.rgb.height),
             thermal_size=(rig.thermal.width, rig.thermal.height),
             baseline_m=rig.baseline_m,
+            rgb_camera=capture.found_rgb,
         )
 
     @staticmethod

@@ -58,6 +58,8 @@ def _find_poses(job: Job) -> None:
     job.results.write_scene(scene, None)
     job.results.write_summary(scene)
     job.say(f"sfm: {len(scene.frames)} of {len(job.capture.frames)} frames registered, {len(scene.points):,} points")
+    for v in scene.capture.found_rgb.values if scene.capture.found_rgb else []:
+        job.say(f"  rgb.{v.name}: {v.found:.6g}{'' if v.std is None else f' ± {v.std:.2g}'} (assumed: {v.assumed:.6g})")
     for name, reason in scene.failures.items():
         job.say(f"  {name}: {reason}")
     for warning in scene.capture.warnings[len(job.capture.warnings) :]:

@@ -25,6 +25,8 @@ from rtgs.io.colmap import colmap_camera, points_from_colmap, quiet_colmap, rigi
 from rtgs.maths.geometry import SE3
 from rtgs.records.camera import Camera
 from rtgs.records.capture import SparsePoints
+from rtgs.records.rgb_camera import FoundRgbCamera, RgbStart
+from rtgs.sfm.intrinsics import found_camera
 
 T = TypeVar("T")
 
@@ -62,6 +64,7 @@ class Task:
         image_dir: the folder that COLMAP reads.
         files: file name in `image_dir` by frame name.
         world_from_rgb: poses to triangulate points with; None: poses are found too.
+        rgb_start: what of `camera` is found too; None: it is held as calibrated.
     """
 
     root: Path
@@ -71,15 +74,17 @@ class Task:
     image_dir: Path
     files: Mapping[str, str]
     world_from_rgb: Mapping[str, SE3] | None
+    rgb_start: RgbStart | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What COLMAP found. `failures` says for each frame without a pose why it has none."""
+    """What COLMAP found. `failures` says for each frame without a pose why it has none; `rgb` is None where the camera was held."""
 
     world_from_rgb: Mapping[str, SE3]
     points: SparsePoints
     failures: Mapping[str, str]
+    rgb: FoundRgbCamera | None = None
 
 
 def do(task: Task, report: Progress) -> Found:
@@ -121,6 +126,7 @@ class _Job:
         for suffix in ("", "-wal", "-shm"):  # what a run that was cut off left here
             Path(f"{self.database}{suffix}").unlink(missing_ok=True)
         camera = colmap_camera(self.task.camera, 1)
+        camera.has_prior_focal_length = self.task.rgb_start is None or self.task.rgb_start.trusted
         self._number_images(camera)
         reader = pycolmap.ImageReaderOptions(camera_model=camera.model_name, camera_params=camera.params_to_string())
         extraction = pycolmap.FeatureExtractionOptions(max_image_size=self.task.config.max_image_side, use_gpu=False)
@@ -226,7 +232,9 @@ class _Job:
                 "sparse/0."
             )
         world_from_rgb = {name: world_from_rgb[name] for name in self.task.files if name in world_from_rgb}
-        return Found(world_from_rgb, points_from_colmap(model), failures)
+        start = self.task.rgb_start
+        rgb = None if start is None else found_camera(model, self.task.camera, start, self.task.root)
+        return Found(world_from_rgb, points_from_colmap(model), failures, rgb)
 
     def triangulate(self, world_from_rgb: Mapping[str, SE3]) -> SparsePoints:
         """Points from the matches, with poses and intrinsics held fixed."""
@@ -253,16 +261,18 @@ class _Job:
         return points_from_colmap(model)
 
     def _mapper_options(self) -> pycolmap.IncrementalPipelineOptions:
+        # Calibrated intrinsics are held: refining them would move the scale's reference.
+        unknown = self.task.rgb_start.unknown if self.task.rgb_start is not None and self.task.world_from_rgb is None else ()
+        focal, lens = "focal" in unknown, "distortion" in unknown
         options = pycolmap.IncrementalPipelineOptions(
             min_model_size=MIN_FRAMES,
-            # The intrinsics are calibrated: refining them would move the scale's reference.
-            ba_refine_focal_length=False,
+            ba_refine_focal_length=focal,
             ba_refine_principal_point=False,
-            ba_refine_extra_params=False,
+            ba_refine_extra_params=lens,
             random_seed=self.task.config.seed,
         )
-        options.mapper.abs_pose_refine_focal_length = False
-        options.mapper.abs_pose_refine_extra_params = False
+        options.mapper.abs_pose_refine_focal_length = focal
+        options.mapper.abs_pose_refine_extra_params = lens
         options.mapper.init_max_error = self.max_error_px
         options.mapper.filter_max_reproj_error = self.max_error_px
         options.triangulation.complete_max_reproj_error = self.max_error_px

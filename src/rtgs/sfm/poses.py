@@ -70,7 +70,10 @@ def _run_colmap(capture: Capture, config: SfmConfig, work_dir: Path, report: Pro
     posed = None if poses is None else _scene_from_poses(capture, poses.world_from_rgb, NO_POINTS).recentred()
     given = None if posed is None else posed.steady().world_from_rgb
     files = _upright_files(capture, names, work_dir)
-    found = do_apart(Task(capture.root, capture.raw_rig.rgb, config, work_dir, *files, given), report)
+    start = capture.rgb_start if posed is None else None
+    found = do_apart(Task(capture.root, capture.raw_rig.rgb, config, work_dir, *files, given, start), report)
+    if found.rgb is not None:
+        capture = capture.with_found_rgb(found.rgb)
     if posed is None:
         return Scene(capture, found.world_from_rgb, found.points, found.failures).recentred()
     if len(found.points) == 0:

@@ -165,19 +165,17 @@ def test_without_a_rig_what_is_missing_is_listed_and_filling_it_in_completes_the
     photographs: Path, tmp_path: Path
 ) -> None:
     result = import_folder("flir", photographs, tmp_path / "out")
-    assert [m.split(",")[0].split(" (")[0] for m in result.missing] == ["rgb.fl_x and rgb.fl_y", "rgb_from_thermal"]
-    assert f"suggests about {RGB_FOCAL_PX:.0f}" in result.missing[0]
+    assert [m.split(" (")[0] for m in result.missing] == ["rgb_from_thermal"]
     path = tmp_path / "out" / "rig.json"
     data = json.loads(path.read_text())
     assert data["thermal"]["fl_x"] == data["thermal"]["fl_y"] == pytest.approx(THERMAL_FOCAL_PX)
-    with pytest.raises(RtgsError, match=r"rig\.json: rgb\.fl_x is missing"):
-        load_capture(tmp_path / "out")
-    data["rgb"] |= {"fl_x": RGB_FOCAL_PX, "fl_y": RGB_FOCAL_PX}
-    path.write_text(json.dumps(data))
     with pytest.raises(RtgsError, match="neither is given"):
         load_capture(tmp_path / "out")
     path.write_text(json.dumps(data | {"rgb_from_thermal": RIG.rgb_from_thermal.matrix().tolist()}))
-    np.testing.assert_allclose(load_capture(tmp_path / "out").frames[2].thermal, RADIOMETRY.celsius(counts_of(2)), atol=1e-4)
+    capture = load_capture(tmp_path / "out")
+    np.testing.assert_allclose(capture.frames[2].thermal, RADIOMETRY.celsius(counts_of(2)), atol=1e-4)
+    assert capture.rgb_start is not None and capture.rgb_start.unknown == ("focal", "distortion")
+    assert capture.raw_rig.rgb.fl_x == pytest.approx(RGB_FOCAL_PX)  # Real2IR's
 
 
 def test_without_a_field_of_view_the_thermal_focal_length_is_missing_too(photographs: Path, tmp_path: Path) -> None:
@@ -186,7 +184,7 @@ def test_without_a_field_of_view_the_thermal_focal_length_is_missing_too(photogr
     for name in NAMES:
         flir_jpeg(photographs / f"{name}.jpg", camera=bytes(camera))
     result = import_folder("flir", photographs, tmp_path / "out")
-    assert [m.split(" ")[0] for m in result.missing] == ["rgb.fl_x", "thermal.fl_x", "rgb_from_thermal"]
+    assert [m.split(" ")[0] for m in result.missing] == ["thermal.fl_x", "rgb_from_thermal"]
     assert "fl_x" not in json.loads((tmp_path / "out" / "rig.json").read_text())["thermal"]
 
 
@@ -320,10 +318,9 @@ def test_sample_files_become_captures(name: str, tmp_path: Path) -> None:
     for i in range(3):
         (tmp_path / "in" / f"{i}.jpg").write_bytes((SAMPLES / f"{name}.jpg").read_bytes())
     result = import_folder("flir", tmp_path / "in", tmp_path / "out")
-    assert len(result.missing) == 2 and result.notes == ()
+    assert len(result.missing) == 1 and result.notes == ()
     path = tmp_path / "out" / "rig.json"
     data = json.loads(path.read_text())
-    data["rgb"] |= {"fl_x": 1000.0, "fl_y": 1000.0}
     path.write_text(json.dumps(data | {"rgb_from_thermal": RIG.rgb_from_thermal.matrix().tolist()}))
     capture = load_capture(tmp_path / "out", rgb_max_side=640)
     np.testing.assert_array_equal(capture.frames[0].thermal, read_flir(SAMPLES / f"{name}.jpg").temperature_c)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -77,17 +78,16 @@ def nominal_rig(facts: Facts) -> tuple[dict[str, Any], list[str]]:
     """The content of `rig.json` with nominal intrinsics where the files have them, and sentences on what it lacks."""
     missing = []
     cameras: dict[str, dict[str, Any]] = {}
-    for which, (width, height), focal in (
-        ("rgb", facts.rgb_size, facts.visible.focal_px),
-        ("thermal", facts.thermal_size, facts.thermal_focal_px),
-    ):
-        camera = camera_to_json(Camera("PINHOLE", width, height, focal or 1.0, focal or 1.0, width / 2, height / 2))
-        if focal is None:
-            del camera["fl_x"], camera["fl_y"]
-            hint = facts.visible.focal_hint_px if which == "rgb" else None
-            known = f"the fusion setting Real2IR suggests about {hint:.0f}, roughly" if hint else "the files don't say"
-            missing.append(f"{which}.fl_x and {which}.fl_y, the focal length in pixels ({known})")
-        cameras[which] = camera
+    width, height = facts.rgb_size
+    cameras["rgb"] = {"width": width, "height": height}
+    start = facts.visible.focal_px or facts.visible.focal_hint_px
+    if start is not None:  # structure from motion finds the focal length from there, and the lens
+        cameras["rgb"]["fov_deg"] = math.degrees(2 * math.atan(0.5 * width / start))
+    (width, height), focal = facts.thermal_size, facts.thermal_focal_px
+    cameras["thermal"] = camera_to_json(Camera("PINHOLE", width, height, focal or 1.0, focal or 1.0, width / 2, height / 2))
+    if focal is None:
+        del cameras["thermal"]["fl_x"], cameras["thermal"]["fl_y"]
+        missing.append("thermal.fl_x and thermal.fl_y, the focal length in pixels (the files don't say)")
     missing.append(
         "rgb_from_thermal (or thermal_from_rgb), 4×4, translation in metres (no radiometric JPEG holds it: calibrate the pair, or "
         "measure the distance between the lenses)"

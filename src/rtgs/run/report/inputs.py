@@ -24,7 +24,7 @@ def inputs_section(run: RunRecords) -> str:
             "Thermal unit": summary.unit,
             "Baseline": length(summary.baseline_m) if summary.baseline_m else None,
         }
-    inside = facts(values | {"rtgs": run.version}) + _settings(run)
+    inside = facts(values | {"rtgs": run.version}) + _rgb_camera(run) + _settings(run)
     absent = [name for name, part in (("config.json", run.settings), ("capture_summary.json", summary)) if part is None]
     if run.older:
         inside += f"<p>{html.escape(_older(run))}</p>"
@@ -35,6 +35,23 @@ def _older(run: RunRecords) -> str:
     stages = ", ".join(run.older)
     return (
         f"Results of earlier settings or of an earlier capture: {stages}. They are shown until `{run.command}` has replaced them."
+    )
+
+
+def _rgb_camera(run: RunRecords) -> str:
+    """What structure from motion found of the RGB camera; "" where nothing was to be found."""
+    found = None if run.summary is None else run.summary.rgb_camera
+    if found is None:
+        return ""
+    head = "<tr><td></td><th>assumed</th><th>found</th></tr>"
+    rows = [
+        f"<tr><th>{html.escape(v.name)}</th><td>{v.assumed:.6g}</td><td>{v.found:.6g}{'' if v.std is None else f' ± {v.std:.2g}'}</td></tr>"
+        for v in found.values
+    ]
+    return (
+        f"<p>rig.json does not give all of the RGB camera ({html.escape(found.camera.model)}). Structure from motion started from "
+        f"{html.escape(found.source)}. Standard deviations stand behind ±.</p>"
+        + wide(f"<thead>{head}</thead>{''.join(rows)}", "numbers")
     )
 
 
