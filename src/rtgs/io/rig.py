@@ -14,6 +14,8 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import read_json, write_json
 from rtgs.io.image_files import ImageHeader
 from rtgs.io.rgb_start import completed_rgb
+from rtgs.io.rig_start import FIELDS as RIG_FIELDS
+from rtgs.io.rig_start import completed_thermal, is_to_be_found, rig_start
 from rtgs.maths.geometry import SE3, is_rotation, nearest_rotation
 from rtgs.records.camera import DISTORTION_OF_MODEL, Camera
 from rtgs.records.radiometry import (
@@ -76,14 +78,23 @@ def read_rig(path: Path, photograph: Callable[[], ImageHeader] | None = None) ->
     if photograph is not None and isinstance(data.get("rgb", {}), dict):
         data["rgb"], rgb_start = completed_rgb(path, data.get("rgb", {}), photograph)
     rgb = camera_from_json(path, "rgb", _member(path, data, "rgb"), warnings)
-    thermal_data = _member(path, data, "thermal")
+    thermal_data, start = _member(path, data, "thermal"), None
+    to_be_found = is_to_be_found(path, data)
+    if to_be_found:
+        thermal_data = completed_thermal(path, thermal_data)
     thermal = camera_from_json(path, "thermal", thermal_data, warnings, more_fields=_RADIOMETRY)
     radiometry = _radiometry(path, thermal_data, warnings)
-    rgb_from_thermal = _rig_transform(path, data)
-    unknown = sorted(set(data) - {"rgb", "thermal", "thermal_from_rgb", "rgb_from_thermal", "uncertainty"})
+    if to_be_found:
+        rgb_from_thermal, start = rig_start(path, data, lambda: _rig_transform(path, data, rough=True))
+    else:
+        rgb_from_thermal = _rig_transform(path, data)
+    unknown = sorted(set(data) - {"rgb", "thermal", "uncertainty", *RIG_FIELDS})
     if unknown:
         warnings.append(f"{path.name}: {', '.join(unknown)} is not a known field and was ignored.")
-    rig = Rig(rgb, thermal, rgb_from_thermal, _calibration_std(path, data, warnings))
+    std = _calibration_std(path, data, warnings)
+    if start is not None and std is not None:  # the rest of it belongs to a calibrated transform
+        std = CalibrationStd(baseline_length=std.baseline_length)
+    rig = Rig(rgb, thermal, rgb_from_thermal, std, start=start)
     if rig.baseline_m > _LONG_BASELINE_M:
         warnings.append(
             f"{path.name}: the baseline is {rig.baseline_m:g} m. Translations are in metres; is this one in millimetres?"
@@ -264,13 +275,13 @@ def rigid_from_json(path: Path, field: str, value: Any) -> SE3:
     return SE3(nearest_rotation(matrix[:3, :3]), matrix[:3, 3].copy())
 
 
-def _rig_transform(path: Path, data: Mapping[str, Any]) -> SE3:
+def _rig_transform(path: Path, data: Mapping[str, Any], *, rough: bool = False) -> SE3:
     given = [key for key in ("thermal_from_rgb", "rgb_from_thermal") if key in data]
     if len(given) != 1:
         said = "both are" if given else "neither is"
         raise RtgsError(f"{path}: exactly one of thermal_from_rgb and rgb_from_thermal is expected, and {said} given.")
     transform = rigid_from_json(path, given[0], data[given[0]])
-    if np.linalg.norm(transform.translation) < 1e-9:
+    if not rough and np.linalg.norm(transform.translation) < 1e-9:
         raise RtgsError(
             f"{path}: the translation of {given[0]} is zero. Scale comes from the distance between the two cameras: "
             "give the baseline in metres."

@@ -27,6 +27,24 @@ class CalibrationStd:
 
 
 @dataclass(frozen=True)
+class RigStart:
+    """How little is known of a rig that has to be found from the capture. The rig itself is where the search starts.
+
+    Attributes:
+        reach_deg: the rotation lies within this angle of the rig's.
+        focal_reach: the thermal focal length lies within this share of the rig's.
+        baseline_m: distance between the two cameras, where it is known; None: nothing about the rig tells metres, and the rig's
+            translation has length 1.
+        centre_known: whether the thermal camera's principal point is known; else it is taken to be the middle of the image.
+    """
+
+    reach_deg: float = 15.0
+    focal_reach: float = 0.15
+    baseline_m: float | None = None
+    centre_known: bool = False
+
+
+@dataclass(frozen=True)
 class Rig:
     """Two cameras fixed to each other.
 
@@ -35,6 +53,7 @@ class Rig:
         rgb_from_thermal: translation in metres.
         calibration_std: None where it is not stated.
         time_offset: how long after the RGB camera the thermal one fires, in intervals between frames.
+        start: None for a rig that is known; otherwise it is to be found, and this is where the search starts.
     """
 
     rgb: Camera
@@ -42,6 +61,7 @@ class Rig:
     rgb_from_thermal: SE3
     calibration_std: CalibrationStd | None = None
     time_offset: float = 0.0
+    start: RigStart | None = None
 
     @property
     def baseline_m(self) -> float:

@@ -54,7 +54,7 @@ class CaptureSummary:
             unit=capture.radiometry.unit,
             rgb_size=(rig.rgb.width, rig.rgb.height),
             thermal_size=(rig.thermal.width, rig.thermal.height),
-            baseline_m=rig.baseline_m,
+            baseline_m=rig.baseline_m if rig.start is None else rig.start.baseline_m,
             rgb_camera=capture.found_rgb,
         )
 

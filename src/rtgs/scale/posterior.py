@@ -11,7 +11,7 @@ from rtgs.scale.interval import model_pixels
 from rtgs.scale.resampling import block_length, small_sample_factor
 from rtgs.scale.rig_loss import Vector
 
-_CALIBRATION_PIXELS = 0.1  # what `MODEL_PIXELS` is for the scale
+CALIBRATION_PIXELS = 0.1  # what `MODEL_PIXELS` is for the scale
 
 
 def gradient_covariance(gradients: Vector) -> Vector:
@@ -54,7 +54,12 @@ def bias(hessian: Vector, pixels: Vector, blur_px: float = 0.0) -> Vector:
     Args:
         hessian: `[K, K]`. pixels: `[K]`, how far the picture moves per unit of x. blur_px: of the thermal images.
     """
-    std = np.array([model_pixels(blur_px), *[model_pixels(blur_px, _CALIBRATION_PIXELS)] * (len(pixels) - 1)]) / pixels
+    std = np.array([model_pixels(blur_px), *[model_pixels(blur_px, CALIBRATION_PIXELS)] * (len(pixels) - 1)]) / pixels
+    return bias_of(hessian, std)
+
+
+def bias_of(hessian: Vector, std: Vector) -> Vector:
+    """`bias` for unknowns that model errors displace by these standard deviations `[K]`."""
     alike, alone = hessian * std, 0.1 * np.diag(hessian) * std
     return np.asarray(alike @ alike.T + np.diag(alone**2))
 

@@ -52,12 +52,21 @@ class Problem:
         Raises:
             RtgsError: no training frame, no pixel that the model covers, or a rig without a baseline.
         """
-        train = scene.train_frames
-        if not train:
-            raise RtgsError("scale: the scene has no training frame (every registered frame is held out).")
-        chosen = np.unique(np.linspace(0, len(train) - 1, min(config.max_frames, len(train))).round().astype(int))
-        frames = tuple(train[i] for i in chosen)
+        frames = usable_frames(scene, config)
         return Problem(scene, model, frames, find_bracket(scene, model), config, comparison, RenderProgress(progress))
+
+
+def usable_frames(scene: Scene, config: ScaleConfig) -> tuple[Frame, ...]:
+    """`ScaleConfig.max_frames` training frames, evenly spaced.
+
+    Raises:
+        RtgsError: no training frame.
+    """
+    train = scene.train_frames
+    if not train:
+        raise RtgsError("scale: the scene has no training frame (every registered frame is held out).")
+    chosen = np.unique(np.linspace(0, len(train) - 1, min(config.max_frames, len(train))).round().astype(int))
+    return tuple(train[i] for i in chosen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,6 +128,7 @@ class Refinement:
     def of(before: float, freedoms: Sequence[Freedom], covariance: NDArray[np.float64], rig: Rig) -> Refinement:
         """From the scale before, the posteriors, the covariance `[1 + K, 1 + K]` of ln s and the freedoms, and the refined rig."""
         std = np.sqrt(np.diag(covariance))
+        std = np.where(std > 0, std, 1.0)  # of a scale that is not decided
         return Refinement(
             before,
             tuple(freedoms),
@@ -142,8 +143,35 @@ class Refinement:
         """The scene with its rig as refined."""
         thermal = replace(scene.rig.thermal, fl_x=self.fl_x, fl_y=self.fl_y)
         pose = SE3.from_matrix(self.rgb_from_thermal)
-        rig = replace(scene.rig, thermal=thermal, rgb_from_thermal=pose, time_offset=self.time_offset)
+        rig = replace(scene.rig, thermal=thermal, rgb_from_thermal=pose, time_offset=self.time_offset, start=None)
         return replace(scene, capture=replace(scene.capture, rig=rig))
+
+
+@dataclass(frozen=True)
+class FoundRig:
+    """A rig that was found from the capture, since `rig.json` gives none. `Refinement` has the rig itself.
+
+    Attributes:
+        baseline_seen: whether the images tell that there is a baseline; if not, both cameras are taken to stand in the same place.
+        baseline_decided: whether they tell its length, within a factor of 1.65 to either side.
+        baseline_sfm, baseline_std_log: its length in SfM units, and its standard deviation, relative; None where it is not seen.
+        baseline_m: the length that `rig.json` gives; None: nothing about the rig tells metres.
+        loss_without_baseline, loss: of the pictures (Eq. 7), without a baseline and with the one found.
+        significance: of the difference, in standard errors over the frames.
+        candidates: agreement of the edges at the best rotations of the search, best first, from 0 to 1.
+        contrast: by how many standard errors over the frames the edges agree better than where the thermal camera is turned aside.
+    """
+
+    baseline_seen: bool
+    baseline_decided: bool
+    baseline_sfm: float | None
+    baseline_std_log: float | None
+    baseline_m: float | None
+    loss_without_baseline: float
+    loss: float
+    significance: float
+    candidates: tuple[float, ...]
+    contrast: float
 
 
 def _matrix(values: NDArray[np.float64]) -> Matrix:
@@ -162,7 +190,7 @@ class ScaleEstimate:
         status, reason: "ok", "ambiguous" (another scale fits as well) or "unobservable" (the images do not decide); why, in words.
         solver: its name in `ScaleConfig.solver`. init: where it started.
         bracket: scales that the images can tell apart.
-        baseline_m: |t| of the rig. frames: those whose curves the answer and its interval are taken from.
+        baseline_m: |t| of the rig; None where nothing states it. frames: those whose curves the answer and its interval are taken from.
         scan: the loss over the bracket; None where a start was given. local: the loss close to the answer; what the interval is taken
             from. history: the solver's steps.
         minima: other minima, best first.
@@ -172,8 +200,10 @@ class ScaleEstimate:
         blur_px: by how much thermal images were found softer than renders: standard deviation of a Gaussian, in thermal pixels.
         misfit_px: by how many thermal pixels the edges miss each other in a way that a turn of the thermal camera would mend and no scale
             does; 0 where the calibration is refined, or the answer was in doubt already.
-        refinement: the calibration, where it was refined with the scale; `refined_scene` has it.
+        refinement: the calibration, where it was refined with the scale or found; `refined_scene` has it.
         metres: what lengths in metres rest on; None where only these images were asked.
+        calibration: how the rig was found, where `rig.json` gives none. Without a length of the baseline, 1 stands for it wherever metres
+            are meant.
     """
 
     JSON_PROPERTIES: ClassVar[tuple[str, ...]] = ("metres_per_sfm",)
@@ -186,7 +216,7 @@ class ScaleEstimate:
     solver: str
     init: float
     bracket: tuple[float, float]
-    baseline_m: float
+    baseline_m: float | None
     frames: tuple[str, ...]
     scan: Scan | None
     local: Scan
@@ -199,6 +229,7 @@ class ScaleEstimate:
     misfit_px: float = 0.0
     refinement: Refinement | None = None
     metres: Metres | None = None
+    calibration: FoundRig | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.sfm_per_metre < math.inf:

@@ -26,7 +26,7 @@ from rtgs.scale.rig_motion import motions, stated_motions
 from rtgs.scale.thermal_targets import Pictures, halvings
 from rtgs.scale.verdict import discord_of
 
-_FEWEST = 4  # frames
+FEWEST = 4  # frames
 _ROUGH_STEP = 0.6  # of a frame interval: a pose that its neighbours' middle misses by more says nothing about the time in between
 _NODES = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of the curves around the answer, in half-widths
 
@@ -120,9 +120,9 @@ def check_refinable(scene: Scene, frames: Sequence[Frame], names: Sequence[str])
         RtgsError: too few of the training frames that are to be used; or, for a time offset, too few frames with both neighbours, or
             camera positions that do not run smoothly in name order.
     """
-    if names and len(frames) < _FEWEST:
+    if names and len(frames) < FEWEST:
         raise RtgsError(
-            f"scale.refine: {len(frames)} training frames are used; the calibration is refined from {_FEWEST} or more. Leave it out."
+            f"scale.refine: {len(frames)} training frames are used; the calibration is refined from {FEWEST} or more. Leave it out."
         )
     if "time-offset" not in names:
         return

@@ -94,7 +94,8 @@ def _facts(scale: ScaleEstimate | None) -> str:
         if scale.ci95 is not None:
             share = 100 * 0.5 * math.log(scale.ci95[1] / scale.ci95[0])
             text += f"<br>95 % interval {scale.ci95[0]:.5g} … {scale.ci95[1]:.5g} (± {share:.2g} %)"
-        text += f"<br>It rests on a baseline of {1000 * scale.baseline_m:.1f} mm between both cameras."
+        if scale.baseline_m is not None:
+            text += f"<br>It rests on a baseline of {1000 * scale.baseline_m:.1f} mm between both cameras."
         if scale.reason:
             text += f"<br>{html.escape(scale.reason)}"
     return f'<div style="padding:0 14px;font-size:13px">{text}</div>'

@@ -165,12 +165,11 @@ def test_without_a_rig_what_is_missing_is_listed_and_filling_it_in_completes_the
     photographs: Path, tmp_path: Path
 ) -> None:
     result = import_folder("flir", photographs, tmp_path / "out")
-    assert [m.split(" (")[0] for m in result.missing] == ["rgb_from_thermal"]
+    assert [m.split(" (")[0] for m in result.missing] == ["baseline_m, the distance between the two lenses in metres"]
     path = tmp_path / "out" / "rig.json"
     data = json.loads(path.read_text())
     assert data["thermal"]["fl_x"] == data["thermal"]["fl_y"] == pytest.approx(THERMAL_FOCAL_PX)
-    with pytest.raises(RtgsError, match="neither is given"):
-        load_capture(tmp_path / "out")
+    assert load_capture(tmp_path / "out").rig.start is not None  # it is found from the capture
     path.write_text(json.dumps(data | {"rgb_from_thermal": RIG.rgb_from_thermal.matrix().tolist()}))
     capture = load_capture(tmp_path / "out")
     np.testing.assert_allclose(capture.frames[2].thermal, RADIOMETRY.celsius(counts_of(2)), atol=1e-4)
@@ -184,7 +183,7 @@ def test_without_a_field_of_view_the_thermal_focal_length_is_missing_too(photogr
     for name in NAMES:
         flir_jpeg(photographs / f"{name}.jpg", camera=bytes(camera))
     result = import_folder("flir", photographs, tmp_path / "out")
-    assert [m.split(" ")[0] for m in result.missing] == ["thermal.fl_x", "rgb_from_thermal"]
+    assert [m.split(" ")[0] for m in result.missing] == ["thermal.fl_x", "baseline_m,"]
     assert "fl_x" not in json.loads((tmp_path / "out" / "rig.json").read_text())["thermal"]
 
 
@@ -351,10 +350,9 @@ def test_a_folder_of_r_jpegs(tmp_path: Path) -> None:
         )
         path = out / "rig.json"
         data = json.loads(path.read_text())
-        assert data["rgb"]["fl_x"] == pytest.approx(24 * np.hypot(*VISIBLE_SIZE) / np.hypot(36, 24))
-        assert [m.split(" ")[0] for m in result.missing] == (
-            ["rgb_from_thermal"] if core else ["thermal.fl_x", "rgb_from_thermal"]
-        )
+        focal = 0.5 * VISIBLE_SIZE[0] / np.tan(np.radians(data["rgb"]["fov_deg"]) / 2)
+        assert focal == pytest.approx(24 * np.hypot(*VISIBLE_SIZE) / np.hypot(36, 24))
+        assert [m.split(" ")[0] for m in result.missing] == (["baseline_m,"] if core else ["thermal.fl_x", "baseline_m,"])
         data["thermal"] |= {"fl_x": 19.0, "fl_y": 19.0}
         path.write_text(json.dumps(data | {"rgb_from_thermal": RIG.rgb_from_thermal.matrix().tolist()}))
         capture = load_capture(out)
@@ -387,7 +385,7 @@ def test_the_command(photographs: Path, tmp_path: Path, rig: Path, capsys: pytes
     assert f"import: 3 pairs in {tmp_path / 'a'}" in said and "fill in" not in said
     main(["import", "flir", str(photographs), "--out", str(tmp_path / "b")])
     said = capsys.readouterr().out
-    assert "fill in:" in said and "  rgb_from_thermal (or thermal_from_rgb)" in said
+    assert "fill in:" in said and "  baseline_m, the distance" in said
     with pytest.raises(SystemExit) as stop:
         main(["import", "dji", str(tmp_path), "--out", str(tmp_path / "c")])
     assert stop.value.code == 2 and "holds thermal data" in capsys.readouterr().err

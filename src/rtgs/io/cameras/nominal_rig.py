@@ -89,8 +89,8 @@ def nominal_rig(facts: Facts) -> tuple[dict[str, Any], list[str]]:
         del cameras["thermal"]["fl_x"], cameras["thermal"]["fl_y"]
         missing.append("thermal.fl_x and thermal.fl_y, the focal length in pixels (the files don't say)")
     missing.append(
-        "rgb_from_thermal (or thermal_from_rgb), 4×4, translation in metres (no radiometric JPEG holds it: calibrate the pair, or "
-        "measure the distance between the lenses)"
+        "baseline_m, the distance between the two lenses in metres (a ruler will do; the rest of the rig is found from the capture; or "
+        "rgb_from_thermal, where the pair is calibrated)"
     )
     cameras["thermal"] |= radiometry_to_json(facts.radiometry)
     return cameras, missing

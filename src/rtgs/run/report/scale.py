@@ -9,7 +9,7 @@ from rtgs.run.report.pieces import facts, missing, section, wide
 from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.values import first_upper, minus
 from rtgs.scale import ScaleEstimate
-from rtgs.scale.records import Freedom, Refinement
+from rtgs.scale.records import FoundRig, Freedom, Refinement
 
 _SOLVERS = {"adam": "Adam", "global": "scan and Gauss-Newton"}
 
@@ -24,7 +24,8 @@ def scale_section(run: RunRecords) -> str:
     second = local_chart(scale) if scale.solver == "global" else history_chart(scale, solver)
     charts = [chart for chart in (scan_chart(scale), second) if chart]
     pair = f'<div class="pair">{"".join(charts)}</div>' if charts else ""
-    return section("Scale", facts(_facts(scale, solver)) + note + pair + _refinement(scale.refinement))
+    rig = _found_rig(scale.calibration) + _refinement(scale.refinement, found=scale.calibration is not None)
+    return section("Scale", facts(_facts(scale, solver)) + note + pair + rig)
 
 
 def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
@@ -45,16 +46,34 @@ def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
     }
 
 
-def _refinement(refinement: Refinement | None) -> str:
+def _found_rig(found: FoundRig | None) -> str:
+    """How the rig was found, where rig.json gives none; "" where it does."""
+    if found is None:
+        return ""
+    known = "not told by the images"
+    if found.baseline_sfm is not None and found.baseline_std_log is not None:
+        known = f"{found.baseline_sfm:.4g} SfM units ± {100 * found.baseline_std_log:.2g} %"
+    values = {
+        "Baseline": known,
+        "Loss without a baseline": f"{found.loss_without_baseline:.5f}",
+        "Loss": f"{found.loss:.5f}",
+        "Difference in standard errors": f"{found.significance:.3g}",
+    }
+    return "<p>rig.json gives no calibrated transform. The rig was found from the capture.</p>" + facts(values)
+
+
+def _refinement(refinement: Refinement | None, *, found: bool) -> str:
     if refinement is None or not refinement.freedoms:
         return ""
     head = "<tr><td></td><th>calibration</th><th>found</th><th>decided by the images</th></tr>"
     rows = "".join(_freedom(f) for f in refinement.freedoms)
-    return (
-        "<p>The calibration was refined with the scale; every later stage uses the refined rig, and rig.json is as it was. Standard "
-        f"deviations stand behind ±. Without this the scale would be {refinement.before:.5g} SfM units per metre.</p>"
-        + wide(f"<thead>{head}</thead>{rows}", "numbers")
-    )
+    said = "Every later stage uses the rig found. Values are changes from where the search started."
+    if not found:
+        said = (
+            "The calibration was refined with the scale; every later stage uses the refined rig, and rig.json is as it was. Standard "
+            f"deviations stand behind ±. Without this the scale would be {refinement.before:.5g} SfM units per metre."
+        )
+    return f"<p>{said}</p>" + wide(f"<thead>{head}</thead>{rows}", "numbers")
 
 
 def _freedom(freedom: Freedom) -> str:
