@@ -22,6 +22,9 @@ _REMEDY = "Check rig.json: which way the transform points, metres, pixels of thi
 def check(patient: Patient) -> list[Finding]:
     """Numbers that no rig has, or that do not fit each other."""
     found, rig = [], patient.capture.rig
+    if rig.start is not None:
+        text = "rig.json gives no calibrated transform: the rig will be found from the capture, after the RGB model"
+        return [Finding("calibration", "note", text)]
     seen = _seen(patient)
     if seen < _OVERLAP:
         level: Level = "error" if seen == 0 else "warning"

@@ -21,6 +21,8 @@ _REMEDY = "Go nearer, use a longer baseline, or bring another source of metres: 
 def check(patient: Patient) -> list[Finding]:
     """A table over distance, and the flow that the images show."""
     rig = patient.capture.rig
+    if rig.start is not None:
+        return [Finding("flow", "note", "the rig is not known yet, and so is not by how much its baseline moves things")]
     x, y, z = rig.rgb_from_thermal.rotation.T @ rig.rgb_from_thermal.translation
     speed = max(float(np.hypot(x, y)) * rig.thermal.fl_x, abs(float(z)) * rig.thermal.width / 4)
     table = ", ".join(f"{speed / depth:.3g} px at {depth:g} m" for depth in _DEPTHS_M)

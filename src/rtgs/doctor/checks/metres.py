@@ -21,6 +21,9 @@ def check(patient: Patient) -> list[Finding]:
 
 
 def _baseline(patient: Patient) -> list[Finding]:
+    start = patient.capture.rig.start
+    if start is not None and start.baseline_m is None:
+        return [Finding("metres", "note", 'no metres from the baseline: rig.json does not give its length ("baseline_m")')]
     std = patient.capture.rig.calibration_std
     said = (
         f"known to {100 * std.baseline_length:.2g} %"
