@@ -2,9 +2,9 @@
 
     python benchmarks/uncalibrated.py --out DIR [--size 400] [--frames 50] [--scenes room,chair,lego,materials,plain] [--seeds 3]
 
-A seed draws the rig: turned by 2 to 8°, a baseline of 0.1 to 0.3 m sideways, up or forward. The rig file gives the size and a field of view
-5 % off of the thermal camera, the baseline's length, and nothing else of the rig; poses and RGB intrinsics are given. What DIR holds already
-already is kept (one RGB model a scene; `trials.jsonl`). Prints a Markdown table, one trial a row.
+A seed draws the rig: turned by 2 to 8°, a baseline of 0.1 to 0.3 m sideways, up or forward. The rig file gives the size and a field of
+view 5 % off of the thermal camera, the length of the baseline, and nothing else of the rig; poses and RGB intrinsics are given. What DIR
+holds already is kept (one RGB model a scene; `trials.jsonl`). Prints a Markdown table, one trial a row.
 """
 
 from __future__ import annotations
