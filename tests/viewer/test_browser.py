@@ -37,7 +37,7 @@ def browser() -> Iterator[Chromium]:
 @pytest.fixture(scope="module")
 def viewer(wall_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewer]:
     spots = tmp_path_factory.mktemp("spots") / "spots.json"
-    spot = Spot("hot", SPOT_M, 1e-3, 31.0, 29.0, 25.0, 0.1, 5, NAMES[:2], 30.5, 0.2)
+    spot = Spot("hot", SPOT_M, 1e-3, 31.0, 29.0, 25.0, 0.1, 5, 5, NAMES[:2], 30.5, 0.2)
     write_json(spots, SpotList((spot,), "°C", "made up"))
     found = Viewer(wall_run, port=0, spots=spots)
     yield found

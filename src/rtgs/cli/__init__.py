@@ -21,7 +21,7 @@ from rtgs.base.events import Listener, to_all
 from rtgs.base.files import reason
 from rtgs.cli.manners import Manners, taken_out
 from rtgs.cli.options import saved_settings
-from rtgs.cli.overview import overview
+from rtgs.cli.overview import text_of
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 from rtgs.cli.table import all_commands, calibrate_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
@@ -92,7 +92,7 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
 def _run(arguments: Sequence[str], listener: Listener, manners: Manners) -> None:
     table, prog, about = all_commands(saved_settings(arguments), listener, as_json=manners.json), "rtgs", _ABOUT
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(overview(about, table))
+        print(text_of(about, table))
         return
     if arguments[:1] == ["experiment"]:
         table, prog, about, arguments = experiment_commands(listener), "rtgs experiment", _ABOUT_EXPERIMENT, arguments[1:]

@@ -30,7 +30,7 @@ EXAMPLES = (
 )
 
 
-def overview(about: str, commands: Mapping[str, Callable[..., Any]]) -> str:
+def text_of(about: str, commands: Mapping[str, Callable[..., Any]]) -> str:
     """The text of `rtgs --help`. Commands that no group names stand in a group of their own."""
     groups = dict(GROUPS)
     others = tuple(name for name in commands if not any(name in names for names in groups.values()))

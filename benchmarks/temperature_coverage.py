@@ -1,6 +1,6 @@
 """Do 95 % intervals of `temperature_std` hold the truth? Single Gaussians of the synthetic scenes.
 
-    python benchmarks/coverage.py --out DIR                     seven scenes, 160 × 160, 40 frames; the captures of `thermal_rules.py`
+    python benchmarks/temperature_coverage.py --out DIR         seven scenes, 160 × 160, 40 frames; captures of `thermal_rules.py`
 
 Of every Gaussian that three training views see, the temperature is compared with two truths, both without noise: what the training views
 show where it contributes to their pixels, and the temperature of the surface that they see in the direction of its mean. Gaussians that are
