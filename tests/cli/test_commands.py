@@ -30,6 +30,7 @@ ARGUMENTS = {
     "doctor": ["folder with rgb/"],
     "render": ["--out", "--frames", "--viewpoint"],
     "spots": ["--out", "--excess", "--above", "--below", "--percentile", "--reference", "--fewest-views"],
+    "report": ["--template", "--out", "--facts", "--write-facts", "--spots", "--pdf"],
     "view": ["--spots", "--host", "--port", "--no-browser"],
     "export": ["--out", "--format", "--frame", "--program", "--thermal-colours", "--plane", "--pixel-m"],
     "share": ["--out", "--title", "--no-spots", "--most-gaussians"],

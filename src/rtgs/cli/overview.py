@@ -13,7 +13,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "Make a capture": ("import", "calibrate", "doctor", "synth"),
     "Run the method": ("run", "demo"),
     "One stage at a time": ("sfm", "rgb", "scale", "thermal", "eval"),
-    "Use the result": ("view", "render", "spots", "export", "share", "info"),
+    "Use the result": ("view", "render", "spots", "report", "export", "share", "info"),
     "Measure the method": ("experiment",),
 }
 
@@ -24,6 +24,7 @@ EXAMPLES = (
     ("rtgs run capture --out run", "the whole method; run/report.html is the result"),
     ("rtgs run capture --out run --scale.solver adam", "again from the scale on, with another solver"),
     ("rtgs spots run --out spots --above 60", "what is warmer than 60 °C"),
+    ("rtgs report run --template inspection --facts facts.json", "a report for the client"),
     ("rtgs export run --out model --format glb points-laz", "for other programs, in metres"),
     ("rtgs share run --out model.html", "a page to send"),
     ("rtgs info run/thermal.ply", "what a file is"),

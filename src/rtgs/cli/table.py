@@ -13,6 +13,7 @@ from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.doctor import doctor
 from rtgs.cli.commands.experiment import experiment, real, synthetic
 from rtgs.cli.commands.info import info
+from rtgs.cli.commands.report import report
 from rtgs.cli.commands.results import export_models, render_images, share, spots
 from rtgs.cli.commands.run import rgb, run, scale, score, sfm, thermal
 from rtgs.cli.commands.view import view
@@ -42,6 +43,7 @@ def all_commands(saved: RunConfig, listener: Listener, *, as_json: bool = False)
         "view": view,
         "export": partial(export_models, config=ExportConfig()),
         "share": share,
+        "report": report,
         "info": partial(info, as_json=as_json),
         "import": import_photographs,
         "synth": partial(make_synthetic, config=SynthConfig()),

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from rtgs.scale import ScaleEstimate
 
-_INK = "#010203"  # a colour nobody draws with: it becomes currentColor, so that curves follow the page's light or dark scheme
+INK = "#010203"  # a colour nobody draws with: it becomes currentColor, so that curves follow the page's light or dark scheme
 _TEXT_PT, _SMALL_PT = 11, 10  # a chart is drawn at two thirds of its size on a telephone
 _CURVE, _CHOSEN = "#2f7ed8", "#e4572e"
 
@@ -34,7 +34,7 @@ def scan_chart(scale: ScaleEstimate) -> str:
         axes.axvline(s, color=_CHOSEN, linewidth=1.2, linestyle=":", label=f"other minimum: {s:.4g}")
     _log_axis(axes, "x", float(x.min()), float(x.max()))
     _legend(axes)
-    return _svg(figure, "Loss over the scale: the scan")
+    return as_svg(figure, "Loss over the scale: the scan")
 
 
 def local_chart(scale: ScaleEstimate) -> str:
@@ -46,7 +46,7 @@ def local_chart(scale: ScaleEstimate) -> str:
     figure, axes = _axes("SfM units per metre", "loss above that of the answer")
     for k, curve in enumerate(map(np.array, scale.local.per_frame.values())):
         label = "single frames" if k == 0 else None
-        axes.plot(x, curve - curve[lowest], color=_INK, alpha=0.18, linewidth=0.7, label=label)
+        axes.plot(x, curve - curve[lowest], color=INK, alpha=0.18, linewidth=0.7, label=label)
     axes.plot(x, loss - loss[lowest], color=_CURVE, linewidth=1.6, marker="o", markersize=2.5, label="mean over frames")
     _mark_interval(axes, scale)
     axes.axvline(scale.sfm_per_metre, color=_CHOSEN, linewidth=1.4)
@@ -54,7 +54,7 @@ def local_chart(scale: ScaleEstimate) -> str:
     if rise > 0:
         axes.set_ylim(-rise, 2 * rise)  # the mean decides; steeper frames may leave the picture
     _legend(axes)
-    return _svg(figure, "Loss close to the answer: what the interval is taken from")
+    return as_svg(figure, "Loss close to the answer: what the interval is taken from")
 
 
 def history_chart(scale: ScaleEstimate, solver: str) -> str:
@@ -68,11 +68,11 @@ def history_chart(scale: ScaleEstimate, solver: str) -> str:
     axes.yaxis.label.set_color(_CHOSEN)
     right = axes.twinx()
     right.plot(step, loss, color=_CURVE, linewidth=1.2)
-    _plain(right)
+    plain_axes(right)
     right.spines["right"].set_visible(True)
     right.set_ylabel("loss", color=_CURVE, fontsize=_TEXT_PT)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    return _svg(figure, f"Refinement by {solver}")
+    return as_svg(figure, f"Refinement by {solver}")
 
 
 def _mark_interval(axes: Axes, scale: ScaleEstimate) -> None:
@@ -89,24 +89,24 @@ def _legend(axes: Axes) -> None:
         borderaxespad=0.2,
         frameon=False,
         fontsize=_SMALL_PT,
-        labelcolor=_INK,
+        labelcolor=INK,
     )
 
 
 def _axes(x: str, y: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(5.4, 3.8), layout="constrained")
     axes = figure.subplots()
-    _plain(axes)
-    axes.set_xlabel(x, color=_INK, fontsize=_TEXT_PT)
-    axes.set_ylabel(y, color=_INK, fontsize=_TEXT_PT)
-    axes.grid(True, color=_INK, alpha=0.12, linewidth=0.6)
+    plain_axes(axes)
+    axes.set_xlabel(x, color=INK, fontsize=_TEXT_PT)
+    axes.set_ylabel(y, color=INK, fontsize=_TEXT_PT)
+    axes.grid(True, color=INK, alpha=0.12, linewidth=0.6)
     return figure, axes
 
 
-def _plain(axes: Axes) -> None:
-    axes.tick_params(colors=_INK, which="both", labelsize=_SMALL_PT)
+def plain_axes(axes: Axes) -> None:
+    axes.tick_params(colors=INK, which="both", labelsize=_SMALL_PT)
     for side, spine in axes.spines.items():
-        spine.set_color(_INK)
+        spine.set_color(INK)
         spine.set_visible(side in ("left", "bottom"))
     axes.patch.set_alpha(0)
 
@@ -123,12 +123,12 @@ def _log_axis(axes: Axes, which: str, lo: float, hi: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _svg(figure: Figure, caption: str) -> str:
+def as_svg(figure: Figure, caption: str) -> str:
     buffer = io.StringIO()
     # Text stays text (small, and in the page's own font); the salt makes ids the same on every run and different between charts.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": caption, "font.family": "sans-serif"}):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = re.sub(r'<g id="[^"]*">', "<g>", svg[svg.index("<svg") :])  # group names, alike in every chart; nothing refers to them
-    svg = svg.replace(_INK, "currentColor")
+    svg = svg.replace(INK, "currentColor")
     return f"<figure class='chart'>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"

@@ -36,10 +36,15 @@ def metres_section(run: RunRecords) -> str:
     return section("What metres rest on", inside)
 
 
-def title_of(name: str) -> str:
-    """The name of a source for people, escaped: "distance 2" is "Known distance 2"."""
+def source_title(name: str) -> str:
+    """The name of a source for people, as text: "distance 2" is "Known distance 2"."""
     kind, _, number = name.partition(" ")
-    return html.escape(f"{_TITLES.get(kind, first_upper(kind))} {number}".strip())
+    return f"{_TITLES.get(kind, first_upper(kind))} {number}".strip()
+
+
+def title_of(name: str) -> str:
+    """The same, escaped."""
+    return html.escape(source_title(name))
 
 
 def _row(source: MetresSource, metres: Metres) -> str:
