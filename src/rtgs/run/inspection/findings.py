@@ -166,19 +166,16 @@ def _single(report: Inspection, listed: SpotList, number: int, spot: Spot) -> st
         facts[words("column.off_reference")] = cells["off_reference"]
     error = "" if spot.modelled_std is None else f" ±\u00a0{spot.modelled_std:.2f}"
     facts[words("single.mean")] = html.escape(amount(spot.mean, unit))
-    facts[words("single.modelled")] = html.escape(amount(spot.modelled, unit) + error)
-    facts[words("single.frames")] = html.escape(", ".join(spot.best_frames))
-    facts[words("single.given")] = ", ".join(minus(f"{v:.4f}") for v in spot.position_m)
-    if spot.latitude_deg is not None:
-        place = f"{spot.latitude_deg:.7f}, {spot.longitude_deg:.7f}, {spot.altitude_m:.2f}\u00a0m"
-        facts[words("single.place")] = html.escape(place)
     if _has_classes(report):
         facts[words("column.severity")] = cells["severity"]
-    broad = words("single.frames")
-    rows = ""
-    for name, value in facts.items():
-        kind_of_field = ' class="broad"' if name == broad else ""
-        rows += f"<div{kind_of_field}><dt>{name}</dt><dd>{value}</dd></div>"
+    facts[words("single.modelled")] = html.escape(amount(spot.modelled, unit) + error)
+    broad = {words("single.frames"): html.escape(", ".join(spot.best_frames))}
+    broad[words("single.given")] = ", ".join(minus(f"{v:.4f}") for v in spot.position_m)
+    if spot.latitude_deg is not None:
+        place = f"{spot.latitude_deg:.7f}, {spot.longitude_deg:.7f}, {spot.altitude_m:.2f}\u00a0m"
+        broad[words("single.place")] = html.escape(place)
+    rows = "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in facts.items())
+    rows += "".join(f'<div class="broad"><dt>{name}</dt><dd>{value}</dd></div>' for name, value in broad.items())
     note = paragraph(words("single.differs"), "doubt") if spot.model_differs else ""
     crop = _crop(report, report.spots_folder / "spots" / f"{number:03d}.png", title)
     return f'<article id="finding-{number}"><h3>{title}</h3>{crop}<dl>{rows}</dl>{note}</article>'

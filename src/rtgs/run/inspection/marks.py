@@ -26,6 +26,7 @@ _HIDDEN = 0.05  # a place this share of its distance behind the surface is hidde
 _COVERED = 0.5  # opacity from which a pixel shows a surface
 
 Places = Mapping[int, tuple[float, float]]
+_Box = tuple[float, float, float, float]  # left, top, right, bottom
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ def marks_section(report: Inspection) -> str:
 
 
 def marked_views(subject: Subject, spots: Sequence[Spot], most: int = MOST_VIEWS) -> list[MarkedView]:
-    """A few cameras that together see as many spots as possible; each is the one that adds most, among those that may see most."""
+    """A few cameras. Each shows the first spot that no earlier one shows, and as many others as possible."""
     given = np.array([spot.position_m for spot in spots]) / subject.metres_per_sfm
     points = subject.scene.given_from_world.apply_inverse(given)
     camera = subject.scene.rig.rgb
@@ -78,18 +79,19 @@ def marked_views(subject: Subject, spots: Sequence[Spot], most: int = MOST_VIEWS
     views: list[MarkedView] = []
     while left and len(views) < most:
         first = min(left)
-        names = sorted(within, key=lambda name: -len(left & set(within[name])))[:_TRIED]
-        names += [name for name in spots[first - 1].best_frames if name in within and name not in names]
+        may_see = [name for name, places in within.items() if first in places]
+        names = sorted(may_see, key=lambda name: -len(left & set(within[name])))[:_TRIED]
+        names += [name for name in spots[first - 1].best_frames if name in may_see and name not in names]
         for name in names:
             if name not in seen:
                 shown = {n for n in within[name] if name in spots[n - 1].best_frames}  # the list says so
                 seen[name] = _not_hidden(subject, camera, name, points, within[name], shown)
-        best = max(names, key=lambda name: len(left & set(seen[name])))
-        if left.isdisjoint(seen[best]):
-            left.discard(first)  # no camera that was tried shows the strongest one that is left
-        else:
+        showing = [name for name in names if first in seen[name]]
+        if showing:
+            best = max(showing, key=lambda name: len(left & set(seen[name])))
             views.append(MarkedView(best, camera, seen[best]))
             left -= set(seen[best])
+        left.discard(first)
     return views
 
 
@@ -127,14 +129,29 @@ def _with_marks(picture: Picture, places: Places) -> str:
     height, width = picture.shape[:2]
     data, _ = embedded(Image.fromarray(picture), width)
     ring, text = 0.014 * width, 0.036 * width
-    marks = ""
+    marks, taken = "", list[_Box]()
     for number, (x, y) in places.items():
-        left = x > 0.88 * width  # the number stands where there is room
-        at, anchor = (x - 1.4 * ring, "end") if left else (x + 1.4 * ring, "start")
-        up = y - 0.6 * ring if y > 2 * text else y + text
+        box = _free_place((x, y), (0.62 * text * len(str(number)), text), 1.3 * ring, (width, height), taken)
+        taken.append(box)
         marks += (
             f'<g class="mark"><circle cx="{x:.1f}" cy="{y:.1f}" r="{ring:.1f}"/>'
-            f'<text x="{at:.1f}" y="{up:.1f}" font-size="{text:.0f}" text-anchor="{anchor}">{number}</text></g>'
+            f'<text x="{box[0]:.1f}" y="{box[1] + 0.82 * text:.1f}" font-size="{text:.0f}">{number}</text></g>'
         )
     image = f'<image href="{data}" width="{width}" height="{height}"/>'
     return f'<svg class="marks" viewBox="0 0 {width} {height}" role="img">{image}{marks}</svg>'
+
+
+def _free_place(
+    mark: tuple[float, float], size: tuple[float, float], gap: float, picture: tuple[int, int], taken: Sequence[_Box]
+) -> _Box:
+    """Where a number stands beside its mark: at the first corner that is in the picture and hides no other number."""
+    (x, y), (w, h) = mark, size
+    corners = [(a, b) for far in (0.0, h) for b in (y - gap - h - far, y + gap + far) for a in (x + gap, x - gap - w)]
+    boxes = [(a, b, a + w, b + h) for a, b in corners]
+    inside = [q for q in boxes if q[0] >= 0 and q[1] >= 0 and q[2] <= picture[0] and q[3] <= picture[1]] or boxes
+    return min(inside, key=lambda q: sum(_overlap(q, other) for other in taken))
+
+
+def _overlap(a: _Box, b: _Box) -> float:
+    """Common area of two boxes."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

@@ -32,7 +32,7 @@ def plan_section(report: Inspection) -> str:
     doubt = report.run.scale.doubt if report.run.scale is not None else ""
     about += paragraph(words("plan.doubt", doubt=doubt), "doubt") if doubt else ""
     drawings = "".join(_drawing(report, vertical) for vertical in (1, 2))
-    return card(words, "plan", about + f'<div class="pair">{drawings}</div>')
+    return card(words, "plan", about + f'<div class="pair">{drawings}</div>', "whole")
 
 
 def _drawing(report: Inspection, vertical: int) -> str:
