@@ -114,6 +114,6 @@ SPOT_AT = (1.0, 0.0, 0.0)  # on the warm arm, upright frame, metres
 
 def spot_list(scene: Corner) -> SpotList:
     """One spot, on the warm arm."""
-    given = GIVEN_FROM_UPRIGHT.apply(np.array(SPOT_AT)) * scene.subject.metres_per_sfm
+    given = GIVEN_FROM_UPRIGHT.apply(np.array(SPOT_AT)) * scene.subject.unit_per_sfm
     at = (float(given[0]), float(given[1]), float(given[2]))
     return SpotList((Spot("hot", at, 0.01, 50.0, 48.0, 20.0, 0.3, 5, 5, ("frame_000",), 49.0, 0.2),), "°C", "3 °C or more off")

@@ -19,7 +19,10 @@ class BaselineSource:
         if estimate is None:
             return ""
         if estimate.status != "ok":
+            if estimate.calibration is not None:
+                return estimate.reason.rstrip(".")
             return f"the images do not show the scale: {estimate.reason}"
+        assert estimate.baseline_m is not None  # without a length the status is another one
         if estimate.std_log is None:
             return "a single frame gives no standard deviation"
         length_std = rig.calibration_std.baseline_length if rig.calibration_std else 0.0

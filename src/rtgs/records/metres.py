@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal, TypeAlias
 
 from rtgs.base.errors import RtgsError
 
 NORMAL_95 = 1.959963984540054
+
+LengthUnit: TypeAlias = Literal["m", "SfM units"]
+"""Of lengths: SfM units where nothing tells metres."""
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from rtgs.records.metres import LengthUnit
 from rtgs.records.radiometry import Unit
 
 
 @dataclass(frozen=True)
 class Spot:
-    """One spot. Temperatures are in the list's unit, lengths in metres.
+    """One spot. Temperatures are in the list's unit, lengths in metres, or in the list's unit of length.
 
     Each value is the median over the training views that show the spot.
 
@@ -72,9 +73,11 @@ class SpotList:
         unit: of temperatures.
         criterion: what counts as a spot, in words.
         reference: a temperature to which differences are given; None where none was named.
+        length_unit: of all lengths, also of those whose names end in `_m`.
     """
 
     spots: tuple[Spot, ...]
     unit: Unit
     criterion: str
     reference: float | None = None
+    length_unit: LengthUnit = "m"

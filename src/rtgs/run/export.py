@@ -25,7 +25,8 @@ def export(folder: RunFolder, scene: Scene, out: Path, settings: ExportConfig, l
         What was written.
 
     Raises:
-        RtgsError: `out` is the run or lies in the capture, a stage is missing, or a format needs a library that is not there.
+        RtgsError: `out` is the run or lies in the capture, a stage is missing, nothing tells the metres that are asked for, or a format
+            needs a library that is not there.
     """
     refuse_own_folders(folder, scene, out)
     formats = {name: FORMATS[name] for name in settings.formats}
@@ -37,6 +38,8 @@ def export(folder: RunFolder, scene: Scene, out: Path, settings: ExportConfig, l
                 "which moves the origin."
             )
     scale = folder.read_scale()
+    if settings.frame == "metric" and scale.no_metres:
+        raise RtgsError(f"{folder.path}: {scale.no_metres} Or export in SfM units: --frame sfm.")
     subject = subject_of(folder, scene, settings)
     out.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []

@@ -23,6 +23,7 @@ from rtgs.io.photograph_tags import read_photograph_tags
 from rtgs.io.ply import check_length
 from rtgs.io.rig import read_rig
 from rtgs.records.camera import Camera
+from rtgs.records.rig import Rig
 from rtgs.run.config_file import is_run
 from rtgs.run.folder import RunFolder
 from rtgs.run.records import CaptureSummary
@@ -90,10 +91,15 @@ def _capture(path: Path) -> Facts:
         "unit": capture.radiometry.unit,
         "rgb": _camera(capture.raw_rig.rgb),
         "thermal": _camera(capture.raw_rig.thermal),
-        "baseline in metres": capture.rig.baseline_m,
+        "baseline in metres": _baseline_m(capture.rig),
         "poses": poses,
         "warnings": list(capture.warnings),
     }
+
+
+def _baseline_m(rig: Rig) -> float | None:
+    """None where `rig.json` does not give it."""
+    return rig.baseline_m if rig.start is None else rig.start.baseline_m
 
 
 def _colmap(path: Path) -> Facts:
@@ -136,11 +142,12 @@ def _ply(path: Path) -> Facts:
 
 def _scale(path: Path) -> Facts:
     estimate = read_record(ScaleEstimate, path)
-    facts: Facts = {"SfM units per metre": estimate.sfm_per_metre, "status": estimate.status}
-    if estimate.ci95 is not None:
-        facts["95 % interval"] = list(estimate.ci95)
-    if estimate.reason:
-        facts["reason"] = estimate.reason
+    facts: Facts = {} if estimate.metres_per_sfm is None else {"SfM units per metre": 1 / estimate.metres_per_sfm}
+    facts["status"] = estimate.status
+    if estimate.metres_ci95 is not None:
+        facts["95 % interval"] = list(estimate.metres_ci95)
+    if estimate.no_metres or estimate.reason:
+        facts["reason"] = estimate.no_metres or estimate.reason
     return facts | {"metres per SfM unit": estimate.metres_per_sfm}
 
 
@@ -160,7 +167,7 @@ def _rig(path: Path) -> Facts:
     return {
         "rgb": _camera(rig.rgb),
         "thermal": _camera(rig.thermal),
-        "baseline in metres": rig.baseline_m,
+        "baseline in metres": _baseline_m(rig),
         "unit": found.radiometry.unit,
         "warnings": list(found.warnings),
     }

@@ -20,18 +20,18 @@ _ROOM = 6.0  # a crop is so many diameters wide
 _MARK = (0, 255, 160)
 
 
-def draw_crops(out: Path, scene: Scene, found: SpotList, sfm_per_metre: float, metres_per_sfm: float) -> None:
+def draw_crops(out: Path, scene: Scene, found: SpotList, sfm_per_metre: float, unit_per_sfm: float) -> None:
     """Write `NNN.png` for each spot: RGB and thermal image of the frame that shows it best, at one scale, with a ring around the spot.
 
     Args:
-        sfm_per_metre: the scale of the model, for the thermal poses. metres_per_sfm: what the list's lengths rest on.
+        sfm_per_metre: the scale of the model, for the thermal poses. unit_per_sfm: what the list's lengths rest on.
     """
     frames = {frame.name: frame for frame in scene.train_frames}
     given_from_world = scene.given_from_world
     for number, spot in enumerate(found.spots, start=1):
         name = spot.best_frames[0]
-        place = given_from_world.apply_inverse(np.array(spot.position_m) / metres_per_sfm)
-        radius = spot.diameter_m / 2 / metres_per_sfm / given_from_world.factor
+        place = given_from_world.apply_inverse(np.array(spot.position_m) / unit_per_sfm)
+        radius = spot.diameter_m / 2 / unit_per_sfm / given_from_world.factor
         in_thermal, in_rgb = scene.thermal_from_world(name, sfm_per_metre).apply(place), scene.rgb_from_world(name).apply(place)
         thermal, rgb = scene.rig.thermal, scene.rig.rgb
         side = max(_ROOM * radius * 2 * thermal.fl_x / in_thermal[2], LEAST_PX) * in_thermal[2] / thermal.fl_x
@@ -69,14 +69,15 @@ def _marked(picture: Picture, radius: float) -> Picture:
 def geojson_of(found: SpotList) -> dict[str, Any]:
     """A feature collection of points. Coordinates are WGS 84 where the photographs tell where they were taken.
 
-    Elsewhere they are metres in the frame of the poses, and the member `coordinates` says so: maps would put them near the equator.
+    Elsewhere they are metres (or SfM units) in the frame of the poses, and the member `coordinates` says so:
+    maps would put them near the equator.
     """
     on_earth = all(spot.latitude_deg is not None for spot in found.spots)
     return {
         "type": "FeatureCollection",
         "coordinates": "longitude, latitude (degrees, WGS 84), altitude (m)"
         if on_earth
-        else "x, y, z in metres, frame of the poses",
+        else f"x, y, z in {'metres' if found.length_unit == 'm' else found.length_unit}, frame of the poses",
         "unit": found.unit,
         "criterion": found.criterion,
         "features": [_feature(number, spot, found.reference, on_earth) for number, spot in enumerate(found.spots, start=1)],

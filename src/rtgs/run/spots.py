@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
 from rtgs.records.georeference import Georeference
+from rtgs.records.metres import LengthUnit
 from rtgs.records.scene import Scene
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.folder import RunFolder, refuse_own_folders
@@ -33,21 +35,21 @@ def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, 
         RtgsError: `out` is the run or lies in the capture, or the thermal model is missing.
     """
     refuse_own_folders(folder, scene, out)
-    metres_per_sfm, place = folder.read_scale().metres_per_sfm, folder.read_georeference()
+    scale, place = folder.read_scale(), folder.read_georeference()
     model = folder.read_thermal()
-    found = find_spots(scene, model, config, metres_per_sfm=metres_per_sfm, progress=progress)
+    found = find_spots(scene, model, config, unit_per_sfm=scale.unit_per_sfm, length_unit=scale.length_unit, progress=progress)
     if place is not None:
-        found = replace(found, spots=tuple(on_the_earth(spot, place, metres_per_sfm) for spot in found.spots))
+        found = replace(found, spots=tuple(on_the_earth(spot, place, scale.unit_per_sfm) for spot in found.spots))
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "spots.json", found)
-    columns = COLUMNS if place is None else (*COLUMNS, *PLACE_COLUMNS)
+    columns = columns_of(found) if place is None else (*columns_of(found), *PLACE_COLUMNS)
     write_csv(out / "spots.csv", columns, [row_of(i + 1, spot, found.reference) for i, spot in enumerate(found.spots)])
     write_json(out / "spots.geojson", geojson_of(found))
     pictures = out / "spots"
     pictures.mkdir(exist_ok=True)
     for old in pictures.glob("[0-9][0-9][0-9].png"):  # of a list with more spots
         remove(old)
-    draw_crops(pictures, scene, found, model.sfm_per_metre, metres_per_sfm)
+    draw_crops(pictures, scene, found, model.sfm_per_metre, scale.unit_per_sfm)
     return found
 
 
@@ -57,11 +59,17 @@ def on_the_earth(spot: Spot, place: Georeference, metres_per_sfm: float) -> Spot
     return replace(spot, latitude_deg=latitude, longitude_deg=longitude, altitude_m=altitude)
 
 
-def spot_line(number: int, spot: Spot, unit: str) -> str:
+def columns_of(found: SpotList) -> tuple[str, ...]:
+    """The names of the columns; "x_m" is "x_sfm" where nothing tells metres."""
+    return COLUMNS if found.length_unit == "m" else tuple(re.sub(r"_m(2?)$", r"_sfm\1", name) for name in COLUMNS)
+
+
+def spot_line(number: int, spot: Spot, unit: str, length_unit: LengthUnit = "m") -> str:
     """A spot in a line of text."""
     x, y, z = spot.position_m
-    line = f"{number}: {spot.kind}, {spot.extreme:.1f} {unit} ({spot.excess:+.1f}) at {x:.3f} {y:.3f} {z:.3f} m"
-    line += f", {1e4 * spot.area_m2:.3g} cm², {spot.views} views, best {spot.best_frames[0]}"
+    line = f"{number}: {spot.kind}, {spot.extreme:.1f} {unit} ({spot.excess:+.1f}) at {x:.3f} {y:.3f} {z:.3f} {length_unit}"
+    area = f"{1e4 * spot.area_m2:.3g} cm²" if length_unit == "m" else f"{spot.area_m2:.3g} square SfM units"
+    line += f", {area}, {spot.views} views, best {spot.best_frames[0]}"
     if spot.model_differs:
         line += f"; the model shows {spot.modelled:.1f} {unit}"
     return line

@@ -113,9 +113,10 @@ def _find_scale(job: Job) -> None:
         job.results.write_georeference(found.georeference)
     job.results.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
     interval = f" (95 %: {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g})" if estimate.ci95 else ""
-    job.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per metre{interval}, {estimate.status}")
-    if estimate.reason:
-        job.warn(estimate.reason)
+    per = "metre" if estimate.calibration is None or estimate.baseline_m is not None else "baseline"
+    job.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per {per}{interval}, {estimate.status}")
+    if estimate.no_metres or estimate.reason:
+        job.warn(estimate.no_metres or estimate.reason)
     for f in estimate.refinement.freedoms if estimate.refinement else []:
         known = "" if f.decided else ", which the images do not decide"
         job.say(f"  {f.name}: {f.mean:+.3g} ± {f.std:.2g} {f.unit} (calibration: ± {f.prior_std:.2g}){known}")

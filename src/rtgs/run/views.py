@@ -34,7 +34,8 @@ def render_views(
     """Render both models from one camera of each frame.
 
     Writes for each name `NAME.rgb.png`, `NAME.thermal.png` (palette with a bar), `NAME.thermal.tiff` (float32, °C or counts) and
-    `NAME.depth.tiff` (float32 metres along the optical axis; NaN where the model covers less than half of the pixel).
+    `NAME.depth.tiff` (float32, along the optical axis, in metres, or in SfM units where nothing tells metres;
+    NaN where the model covers less than half of the pixel).
 
     Args:
         names: frames; all registered ones when empty.
@@ -61,7 +62,7 @@ def render_views(
     if planck is not None:
         planck.reevaluated(np.zeros(1), **changes)  # limits, before any work
     rgb, thermal, scale = folder.read_rgb(), folder.read_thermal(), folder.read_scale()
-    world_per_metre = scene.world_per_metre(1 / scale.metres_per_sfm)
+    world_per_metre = scene.world_per_metre(1 / scale.unit_per_sfm)
     camera = scene.rig.rgb if viewpoint == "rgb" else scene.rig.thermal
     chosen = list(names) or [f.name for f in scene.frames]
     out.mkdir(parents=True, exist_ok=True)

@@ -131,8 +131,8 @@ def _weighed(estimate: ScaleEstimate, found: RigFromCapture, start: RigStart) ->
     estimate = replace(estimate, std_log=std_log, ci95=(next(ends), next(ends)))
     if start.baseline_m is None:
         reason = (
-            f"the rig is found, and its baseline is {estimate.sfm_per_metre:.4g} SfM units long. Nothing says how long that is in metres: "
-            'give its length as "baseline_m" in rig.json.'
+            f"the rig is found, and its baseline is {estimate.sfm_per_metre:.4g} SfM units long. rig.json does not say how long that is "
+            'in metres ("baseline_m").'
         )
         return replace(estimate, status="unobservable", reason=reason)
     return estimate

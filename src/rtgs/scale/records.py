@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3
-from rtgs.records.metres import Metres
+from rtgs.records.metres import LengthUnit, Metres
 from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 
@@ -236,18 +236,57 @@ class ScaleEstimate:
             raise RtgsError(f"sfm_per_metre is {self.sfm_per_metre:g}; it is a finite number above 0.")
 
     @property
-    def metres_per_sfm(self) -> float:
-        """What lengths in SfM units are multiplied by.
+    def metres_per_sfm(self) -> float | None:
+        """What lengths in SfM units are multiplied by; None where nothing tells metres, and `no_metres` says why.
 
         It rests on all sources of metres. `sfm_per_metre` places the thermal cameras: its product with the baseline's length in `rig.json`
         is what the images show.
         """
         combined = self.metres.sfm_per_metre if self.metres else None
-        return 1.0 / (self.sfm_per_metre if combined is None else combined)
+        if combined is not None:
+            return 1.0 / combined
+        return 1.0 / self.sfm_per_metre if self._baseline_counts else None
+
+    @property
+    def _baseline_counts(self) -> bool:
+        """Whether the baseline gives a number of metres, be it in doubt. One that was found has to be free of doubt."""
+        return self.calibration is None or self.status == "ok"
+
+    @property
+    def no_metres(self) -> str:
+        """Why there are no metres, and what to add; empty where there are."""
+        if self.metres_per_sfm is not None:
+            return ""
+        found = self.calibration
+        decided = found is not None and found.baseline_decided and self.ci95 is not None
+        add = 'its length as "baseline_m" in rig.json, ' if decided and self.baseline_m is None else ""
+        return (
+            f"nothing tells metres, so lengths are in SfM units: {self.reason.rstrip('.')}. Add {add}a known distance or a board "
+            "(metres.json), or photographs with GPS."
+        )
+
+    @property
+    def unit_per_sfm(self) -> float:
+        """What lengths in SfM units are multiplied by to be in `length_unit`."""
+        return 1.0 if self.metres_per_sfm is None else self.metres_per_sfm
+
+    @property
+    def length_unit(self) -> LengthUnit:
+        """Of lengths for people and for files: metres where they are known."""
+        return "SfM units" if self.metres_per_sfm is None else "m"
+
+    @property
+    def metres_ci95(self) -> tuple[float, float] | None:
+        """95 % interval of the SfM units per metre that lengths rest on; None where it is not known."""
+        if self.metres is not None and self.metres.sfm_per_metre is not None and self.metres.rests_on != ("baseline",):
+            return self.metres.ci95
+        return self.ci95 if self._baseline_counts else None
 
     @property
     def doubt(self) -> str:
-        """Why lengths in metres should not be relied on; empty where they may be."""
+        """Why lengths in metres should not be relied on; empty where they may be, and where there are none."""
+        if self.metres_per_sfm is None:
+            return ""
         if self.metres is not None and self.metres.disagreement:
             return self.metres.disagreement
         rests_elsewhere = (

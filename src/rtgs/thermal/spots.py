@@ -13,6 +13,7 @@ import numpy as np
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
 from rtgs.models import ThermalModel
+from rtgs.records.metres import LengthUnit
 from rtgs.records.scene import Scene
 from rtgs.records.spots import Spot, SpotList
 from rtgs.thermal.spot_places import Floats, Sighting, facing_area, joined, meeting_point
@@ -31,7 +32,8 @@ def find_spots(
     model: ThermalModel,
     config: SpotsConfig | None = None,
     *,
-    metres_per_sfm: float | None = None,
+    unit_per_sfm: float | None = None,
+    length_unit: LengthUnit = "m",
     progress: Progress | None = None,
 ) -> SpotList:
     """List the spots of a capture.
@@ -42,7 +44,8 @@ def find_spots(
 
     Args:
         config: what counts as a spot; None: the defaults.
-        metres_per_sfm: what lengths rest on; None: the scale that the model was fitted at.
+        unit_per_sfm: what lengths are multiplied by; None: the scale that the model was fitted at, in metres.
+        length_unit: what they are in then.
         progress: called with (views done, views in all, the frame's name).
 
     Raises:
@@ -58,7 +61,7 @@ def find_spots(
             sightings += list(view.sightings(sign, _regions(view, sign, config.excess, thresholds)))
         if progress is not None:
             progress(done + 1, len(scene.train_frames), frame.name)
-    sfm_per_metre = model.sfm_per_metre if metres_per_sfm is None else 1 / metres_per_sfm
+    sfm_per_metre = model.sfm_per_metre if unit_per_sfm is None else 1 / unit_per_sfm
     spots = []
     for group in (g for sign in (1, -1) for g in joined([s for s in sightings if s.sign == sign])):
         views = len({s.frame for s in group})
@@ -71,7 +74,7 @@ def find_spots(
         if thresholds is not None or (views >= SHOWN_SHARE * seen_by and _steady(group)):
             spots.append(_spot(group, place, facing, seen_by, scene, sfm_per_metre))
     spots.sort(key=lambda s: -abs(s.excess))
-    return SpotList(tuple(spots[: config.most]), model.unit, criterion, config.reference)
+    return SpotList(tuple(spots[: config.most]), model.unit, criterion, config.reference, length_unit)
 
 
 def _steady(group: Sequence[Sighting]) -> bool:

@@ -17,6 +17,7 @@ from rtgs.base.json_records import read_record
 from rtgs.maths.geometry import Sim3
 from rtgs.models import RgbModel, ThermalModel
 from rtgs.records.gaussians import Gaussians
+from rtgs.records.metres import LengthUnit
 from rtgs.records.scene import Scene
 from rtgs.records.spots import SpotList
 from rtgs.renderer import RenderSettings
@@ -62,25 +63,30 @@ class Contents:
     @property
     def metric(self) -> bool:
         """Whether lengths are known in metres."""
-        return self.scale is not None
+        return self.length_unit == "m"
 
     @property
-    def length_unit(self) -> str:
+    def length_unit(self) -> LengthUnit:
         """Of positions and lengths."""
-        return "m" if self.metric else "SfM units"
+        return "SfM units" if self.scale is None else self.scale.length_unit
+
+    @property
+    def sfm_per_unit(self) -> float:
+        """SfM units per metre, or 1 where nothing tells metres."""
+        return 1.0 if self.scale is None else 1.0 / self.scale.unit_per_sfm
 
     @property
     def world_per_unit(self) -> float:
-        """World units per metre, or per SfM unit where there is no scale."""
-        return (1.0 if self.scale is None else self.scale.sfm_per_metre) / self.given_from_world.factor
+        """World units per metre, or per SfM unit where nothing tells metres."""
+        return self.sfm_per_unit / self.given_from_world.factor
 
     def position(self, world: NDArray[np.float64]) -> NDArray[np.float64]:
         """`[..., 3]` in the given frame, in metres or SfM units, of positions in the world; as `Spot.position_m`."""
-        return self.given_from_world.apply(world) / (1.0 if self.scale is None else self.scale.sfm_per_metre)
+        return self.given_from_world.apply(world) / self.sfm_per_unit
 
     def world(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """The inverse of `position`."""
-        return self.given_from_world.apply_inverse(position * (1.0 if self.scale is None else self.scale.sfm_per_metre))
+        return self.given_from_world.apply_inverse(position * self.sfm_per_unit)
 
     @cached_property
     def up(self) -> NDArray[np.float64]:

@@ -90,7 +90,8 @@ def _facts(scale: ScaleEstimate | None) -> str:
     if scale is None:
         text = "The scale is not known yet: lengths are in SfM units."
     else:
-        text = f"<b>{scale.sfm_per_metre:.5g}</b> SfM units per metre, status <b>{scale.status}</b>"
+        per = "metre" if scale.calibration is None or scale.baseline_m is not None else "baseline"
+        text = f"<b>{scale.sfm_per_metre:.5g}</b> SfM units per {per}, status <b>{scale.status}</b>"
         if scale.ci95 is not None:
             share = 100 * 0.5 * math.log(scale.ci95[1] / scale.ci95[0])
             text += f"<br>95 % interval {scale.ci95[0]:.5g} … {scale.ci95[1]:.5g} (± {share:.2g} %)"

@@ -10,6 +10,7 @@ import viser
 from rtgs.base.errors import RtgsError
 from rtgs.config import SpotsConfig
 from rtgs.maths.geometry import look_at
+from rtgs.records.metres import LengthUnit
 from rtgs.records.spots import Spot
 from rtgs.thermal.spots import find_spots
 from rtgs.viewer.contents import with_spots
@@ -56,7 +57,7 @@ class SpotsPanel:
             text = "No list yet. “Find spots” makes one from the training photographs."
         else:
             text = f"{len(found.spots)} spots: {found.criterion}"
-        rows = "" if found is None else "".join(_row(i, s, unit) for i, s in enumerate(found.spots[:_LISTED]))
+        rows = "" if found is None else "".join(_row(i, s, unit, found.length_unit) for i, s in enumerate(found.spots[:_LISTED]))
         head = "<tr style='opacity:.7'><td>№</td><td>extreme</td><td>excess</td><td>ø</td><td>views</td></tr>" if rows else ""
         table = f'<table class="rtgs-spots" style="width:100%;font-size:12px;border-collapse:collapse">{head}{rows}</table>'
         self._list.content = f'<div style="padding:0 14px;font-size:13px">{html.escape(text)}{table if rows else ""}</div>'
@@ -76,7 +77,9 @@ class SpotsPanel:
             config = SpotsConfig(below=from_unit(value, unit))
         engine = session.hub.engine
         with long_action(session, self._progress, self._find) as tell, engine.holding:
-            found = find_spots(scene, thermal, config, progress=engine.busy(lambda done, total, _: tell(done / max(total, 1))))
+            told = engine.busy(lambda done, total, _: tell(done / max(total, 1)))
+            per, length_unit = 1 / contents.sfm_per_unit, contents.length_unit
+            found = find_spots(scene, thermal, config, unit_per_sfm=per, length_unit=length_unit, progress=told)
         session.hub.engine.contents = with_spots(session.contents, found)
         session.hub.refresh_all()
 
@@ -119,13 +122,13 @@ def _name(index: int, spot: Spot, unit: Shade) -> str:
     return f"{index + 1}: {spot.kind}, {in_unit(spot.extreme, unit):.1f} {unit}"
 
 
-def _row(index: int, spot: Spot, unit: Shade) -> str:
+def _row(index: int, spot: Spot, unit: Shade, length_unit: LengthUnit) -> str:
     colour = "rgb" + str(_COLOURS[spot.kind])
     cells = (
         f'<b style="color:{colour}">{index + 1}</b>',
         f"{in_unit(spot.extreme, unit):.1f} {unit}",
         f"{difference_in_unit(spot.excess, unit):+.1f}",
-        f"{100 * spot.diameter_m:.1f} cm",
+        f"{100 * spot.diameter_m:.1f} cm" if length_unit == "m" else f"{spot.diameter_m:.2g} {length_unit}",
         str(spot.views),
     )
     return "<tr>" + "".join(f"<td style='padding:1px 6px 1px 0'>{cell}</td>" for cell in cells) + "</tr>"

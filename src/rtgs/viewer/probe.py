@@ -38,7 +38,7 @@ class Reading:
     """What is known about a pixel.
 
     Attributes:
-        world: `[3]`, the place in the world. position: `[3]`, likewise in metres (SfM units where there is no scale), in the given frame.
+        world: `[3]`, the place in the world. position: `[3]`, likewise in metres (SfM units where none are known), in the given frame.
         depth: along the optical axis, in the same unit.
         temperature: of the model there, over whatever lies in front; None without a thermal model.
         std: its standard error; None where the fit did not estimate any.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
+from rtgs.run.report.values import first_upper
 from rtgs.viewer.contents import Contents
 
 Kind = Literal["distance", "polyline", "area", "height above a plane"]
@@ -57,10 +58,12 @@ def measure(kind: Kind, points: NDArray[np.float64], contents: Contents) -> Meas
     scale = contents.scale
     if scale is None:
         return Measured(kind, value, unit, note="There is no scale yet, so this is not in metres.")
-    note = "" if scale.status == "ok" else f"The scale is {scale.status}: {scale.reason}"
-    if scale.ci95 is None:
+    if scale.no_metres:
+        return Measured(kind, value, unit, note=first_upper(scale.no_metres))
+    note = f"The scale is {'in doubt' if scale.status == 'ok' else scale.status}: {scale.doubt}" if scale.doubt else ""
+    if scale.metres_ci95 is None:
         return Measured(kind, value, unit, note=note)
-    low, high = (value * (scale.sfm_per_metre / end) ** dimension for end in (scale.ci95[1], scale.ci95[0]))
+    low, high = (value * (contents.sfm_per_unit / end) ** dimension for end in reversed(scale.metres_ci95))
     return Measured(kind, value, unit, low, high, note)
 
 

@@ -57,7 +57,7 @@ def test_a_mark_stands_where_the_finding_is_in_the_picture(scene: Corner) -> Non
 @pytest.mark.thorough
 def test_a_finding_behind_a_surface_has_no_mark(scene: Corner) -> None:
     spot = spot_list(scene).spots[0]
-    below = GIVEN_FROM_UPRIGHT.apply(np.array([0.5, -0.6, -1.0])) * scene.subject.metres_per_sfm
+    below = GIVEN_FROM_UPRIGHT.apply(np.array([0.5, -0.6, -1.0])) * scene.subject.unit_per_sfm
     hidden = replace(spot, position_m=tuple(below.tolist()), best_frames=("elsewhere",))
     assert marked_views(scene.subject, [hidden]) == []
     assert [set(v.places) for v in marked_views(scene.subject, [hidden, spot])] == [{2}]

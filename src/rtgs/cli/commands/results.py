@@ -25,7 +25,7 @@ def render_images(
 
     Args:
         run: the run folder.
-        out: folder for NAME.rgb.png, NAME.thermal.png, NAME.thermal.tiff (°C) and NAME.depth.tiff (metres).
+        out: folder for NAME.rgb.png, NAME.thermal.png, NAME.thermal.tiff (°C) and NAME.depth.tiff (metres, or SfM units).
         frames: names of frames; all when none is given.
         viewpoint: whose camera to look through; everything is rendered from there, so it is aligned.
         emissivity: temperatures as under this emissivity of the object instead of that in rig.json; nothing is fitted again.
@@ -67,7 +67,7 @@ def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener
         found = list_spots(folder, scene, out, config, progress=progress)
     listener(ResultLine(f"spots: {len(found.spots)}, {found.criterion}, in {out}"))
     for number, spot in enumerate(found.spots[:_SHOWN], start=1):
-        listener(ResultLine("  " + spot_line(number, spot, found.unit)))
+        listener(ResultLine("  " + spot_line(number, spot, found.unit, found.length_unit)))
 
 
 def export_models(run: Folder, out: Path, config: Annotated[ExportConfig, Flat], listener: Hidden) -> None:

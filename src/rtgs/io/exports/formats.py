@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from rtgs.base.errors import RtgsError
 from rtgs.base.progress import Progress
 from rtgs.config import ExportFormat, ThermalColours
 from rtgs.images.pictures import BACKGROUND, save_png, with_colour_bar
@@ -83,7 +84,9 @@ def _points(suffix: str) -> Writer:
     def write(subject: Subject, frame: FileFrame, out: Path, progress: Progress | None) -> list[Path]:
         path, unit = out / f"points{suffix}", subject.thermal.unit
         asked = subject.settings.spacing_m
-        spacing = pixel_size(subject) if asked is None else asked * frame.per_metre / frame.from_world.factor
+        if asked is not None and frame.per_metre is None:
+            raise RtgsError("--spacing-m is a length in metres, and nothing tells metres. Leave it out.")
+        spacing = pixel_size(subject) if asked is None else asked * (frame.per_metre or 1.0) / frame.from_world.factor
         points = surface_points(subject, spacing, progress)
         if suffix == ".ply":
             write_points_ply(path, points, frame.of(points.xyz), unit)

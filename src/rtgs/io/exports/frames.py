@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtgs.config import ExportFrame, Program
 from rtgs.maths.geometry import Sim3, rotation_from_axis_angle
 from rtgs.records.georeference import Georeference
+from rtgs.records.metres import LengthUnit
 from rtgs.records.scene import Scene
 from rtgs.records.world import is_far
 
@@ -42,7 +43,7 @@ class FileFrame:
     Attributes:
         from_world: leads from the scene's world to the file. It does not turn for `--frame sfm`.
         axes: which way is up; None where the frame is that of the poses.
-        per_metre: units of the file per metre.
+        per_metre: units of the file per metre; None where nothing tells metres.
         unit: "m", or "SfM units".
         origin: `[3]`, where the file's origin is in the given frame, SfM units; not zero where the given origin is too far away.
         place: where the file's origin is on the Earth; then x, y and z of "z-up" are metres east, north and up. None: not known.
@@ -50,8 +51,8 @@ class FileFrame:
 
     from_world: Sim3
     axes: Axes | None
-    per_metre: float
-    unit: str
+    per_metre: float | None
+    unit: LengthUnit
     origin: NDArray[np.float64]
     place: Georeference | None = None
 
@@ -87,12 +88,15 @@ def upright(scene: Scene) -> Upright | None:
 
 
 def file_frame(
-    scene: Scene, metres_per_sfm: float, frame: ExportFrame, axes: Axes, place: Georeference | None = None
+    scene: Scene, metres_per_sfm: float | None, frame: ExportFrame, axes: Axes, place: Georeference | None = None
 ) -> FileFrame:
-    """The frame for a file whose program wants `axes`; in metres it is that of the georeference, where there is one."""
-    given = scene.given_from_world
+    """The frame for a file whose program wants `axes`; in metres it is that of the georeference, where there is one.
+
+    Where nothing tells metres (`metres_per_sfm` is None), the unit is that of SfM.
+    """
+    given, per_metre = scene.given_from_world, None if metres_per_sfm is None else 1.0 / metres_per_sfm
     if frame == "sfm":
-        return FileFrame(given, None, 1.0 / metres_per_sfm, "SfM units", np.zeros(3))
+        return FileFrame(given, None, per_metre, "SfM units", np.zeros(3))
     if place is not None:
         enu_from_given = Sim3(place.metres_per_sfm, np.array(place.rotation), np.array(place.translation_m))
         from_world = Sim3(1.0, AXES_FROM_Z_UP[axes], np.zeros(3)) @ enu_from_given @ given
@@ -101,7 +105,10 @@ def file_frame(
     turn = AXES_FROM_Z_UP[axes] @ up.rotation if up is not None else np.eye(3)
     origin = given.translation if is_far(given) else np.zeros(3)
     local = Sim3(given.factor, given.rotation, given.translation - origin)
-    return FileFrame(Sim3(metres_per_sfm, turn, np.zeros(3)) @ local, axes if up is not None else None, 1.0, "m", origin)
+    axes_or_none = axes if up is not None else None
+    if metres_per_sfm is None:
+        return FileFrame(Sim3(1.0, turn, np.zeros(3)) @ local, axes_or_none, None, "SfM units", origin)
+    return FileFrame(Sim3(metres_per_sfm, turn, np.zeros(3)) @ local, axes_or_none, 1.0, "m", origin)
 
 
 def _shortest_turn(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:

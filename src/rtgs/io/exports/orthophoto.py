@@ -57,6 +57,8 @@ def write_orthophoto(folder: Path, subject: Subject, frame: FileFrame) -> list[P
         raise RtgsError(
             "orthophoto: which way is up is not known (--frame sfm, or cameras that hardly turn). Give --normal X Y Z."
         )
+    if settings.pixel_m is not None and frame.per_metre is None:
+        raise RtgsError("--pixel-m is a length in metres, and nothing tells metres. Leave it out.")
     coarse = pixel_size(subject)
     points = surface_points(subject, 4 * coarse)
     sheet = _sheet(subject, frame, points, 4 * coarse * frame.from_world.factor)
@@ -73,7 +75,9 @@ def write_orthophoto(folder: Path, subject: Subject, frame: FileFrame) -> list[P
     temperature = np.where(covered, thermal.render(camera, pose), np.nan).astype(np.float32)
     picture = to_picture(view.over(rgb.background).numpy())
     picture = np.concatenate([picture, (255 * covered[..., None]).astype(np.uint8)], axis=2)
-    place = RasterPlace(float(sheet.low[0]), float(sheet.low[1] + height * pixel), pixel, "local metres")
+    place = RasterPlace(
+        float(sheet.low[0]), float(sheet.low[1] + height * pixel), pixel, "local metres" if frame.unit == "m" else frame.unit
+    )
     if frame.place is not None and sheet.normal[2] > 0.9999:
         latitude, longitude = frame.place.latitude_deg, frame.place.longitude_deg
         place = replace(place, frame="metres east and north", latitude_deg=latitude, longitude_deg=longitude)

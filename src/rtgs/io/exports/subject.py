@@ -27,7 +27,8 @@ class Subject:
     """A run that is exported.
 
     Attributes:
-        metres_per_sfm: what lengths are multiplied by. sfm_per_metre: what places the thermal cameras (`ScaleEstimate` says why both).
+        metres_per_sfm: what lengths are multiplied by; None: nothing tells metres.
+        sfm_per_metre: what places the thermal cameras (`ScaleEstimate` says why both).
         settings: what the user asked for.
         place: where the scene is on the Earth; None: not known.
     """
@@ -35,10 +36,15 @@ class Subject:
     scene: Scene
     rgb: RgbModel
     thermal: ThermalModel
-    metres_per_sfm: float
+    metres_per_sfm: float | None
     sfm_per_metre: float
     settings: ExportConfig
     place: Georeference | None = None
+
+    @property
+    def unit_per_sfm(self) -> float:
+        """What lengths are multiplied by, to be metres, or SfM units where nothing tells metres."""
+        return 1.0 if self.metres_per_sfm is None else self.metres_per_sfm
 
     def frame(self, usual: Axes, *, fixed: bool = False) -> FileFrame:
         """The frame of a file of a format whose usual axes these are; `fixed` where the program that reads it has no say."""

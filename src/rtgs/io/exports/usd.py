@@ -31,7 +31,8 @@ def write_usd(path: Path, splats: Splats, frame: FileFrame) -> None:
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if frame.axes == "z-up" else UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0 / frame.per_metre)
+    if frame.per_metre is not None:
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0 / frame.per_metre)
     prim = UsdVol.ParticleField3DGaussianSplat.Define(stage, f"/{path.stem}")
     stage.SetDefaultPrim(prim.GetPrim())
     means, sizes = splats.means.astype(np.float32), np.exp(splats.log_scales)

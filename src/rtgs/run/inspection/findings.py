@@ -77,7 +77,7 @@ def position_of(report: Inspection, spot: Spot) -> tuple[float, float, float]:
     """Metres in the frame of the plan; that of the poses where there is none."""
     if report.frame is None or report.subject is None:
         return spot.position_m
-    given = np.array(spot.position_m) / report.subject.metres_per_sfm
+    given = np.array(spot.position_m) / report.subject.unit_per_sfm
     x, y, z = report.frame.of(report.subject.scene.given_from_world.apply_inverse(given)).tolist()
     return x, y, z
 

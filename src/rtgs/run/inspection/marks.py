@@ -69,7 +69,7 @@ def marks_section(report: Inspection) -> str:
 
 def marked_views(subject: Subject, spots: Sequence[Spot], most: int = MOST_VIEWS) -> list[MarkedView]:
     """A few cameras. Each shows the first spot that no earlier one shows, and as many others as possible."""
-    given = np.array([spot.position_m for spot in spots]) / subject.metres_per_sfm
+    given = np.array([spot.position_m for spot in spots]) / subject.unit_per_sfm
     points = subject.scene.given_from_world.apply_inverse(given)
     camera = subject.scene.rig.rgb
     if camera.width > _WIDTH_PX:

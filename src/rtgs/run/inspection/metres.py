@@ -22,7 +22,7 @@ def interval(report: Inspection) -> tuple[float, float, float] | None:
         return None
     metres = scale.metres if scale.metres is not None and scale.metres.sfm_per_metre is not None else None
     found = scale.ci95 if metres is None else metres.ci95
-    return None if found is None else (1 / scale.metres_per_sfm, *found)
+    return None if found is None or scale.metres_per_sfm is None else (1 / scale.metres_per_sfm, *found)
 
 
 def scale_section(report: Inspection) -> str:
@@ -32,7 +32,7 @@ def scale_section(report: Inspection) -> str:
         missing = words("missing", what="scale.json", command=report.run.command)
         return card(words, "scale", paragraph(missing, "doubt"))
     said = paragraph(words("scale.doubt", doubt=scale.doubt), "doubt") if scale.doubt else ""
-    said += paragraph(words("scale.value", value=f"{1 / scale.metres_per_sfm:.5g}") + " " + _interval_text(report))
+    said += paragraph(words("scale.value", value=f"{1 / scale.unit_per_sfm:.5g}") + " " + _interval_text(report))
     metres = scale.metres
     if metres is None or not metres.sources:
         baseline = report.run.baseline_m

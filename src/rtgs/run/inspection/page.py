@@ -59,7 +59,8 @@ def write_inspection(
         `out`.
 
     Raises:
-        RtgsError: no such run, a named folder without a list, a record or picture that is damaged, or the report cannot be written.
+        RtgsError: no such run, a run without metres, a named folder without a list, a record or picture that is damaged, or the report
+            cannot be written.
     """
     if not run.is_dir():
         raise RtgsError(f"{run}: no such run folder; `rtgs run CAPTURE --out {shlex.quote(str(run))}` makes one")
@@ -69,6 +70,8 @@ def write_inspection(
         raise RtgsError(f"--out {out}: name a file that ends in .html.")
     words = Words.load()
     report = Inspection.read(run, facts, run / "spots" if spots is None else spots, words)
+    if report.run.scale is not None and report.run.scale.no_metres:
+        raise RtgsError(f"{run}: an inspection report states lengths in metres, and {report.run.scale.no_metres}")
     parts = []
     for done, section in enumerate(_SECTIONS):
         if progress is not None:

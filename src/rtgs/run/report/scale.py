@@ -31,8 +31,8 @@ def scale_section(run: RunRecords) -> str:
 def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
     minima = [f"{m.sfm_per_metre:.4g} (better in {100 * m.chance:.2g} % of resamples)" for m in scale.minima]
     return {
-        "SfM units per metre": f"{scale.sfm_per_metre:.5g}",
-        "Metres per SfM unit": f"{scale.metres_per_sfm:.5g}",
+        "SfM units per metre" if scale.baseline_m is not None else "SfM units in the baseline": f"{scale.sfm_per_metre:.5g}",
+        "Metres per SfM unit": None if scale.metres_per_sfm is None else f"{scale.metres_per_sfm:.5g}",
         "Standard error": None if scale.std_log is None else f"{100 * scale.std_log:.2g} %",
         "95 % interval": None if scale.ci95 is None else f"{scale.ci95[0]:.5g} to {scale.ci95[1]:.5g}",
         "Searched": f"{scale.bracket[0]:.3g} to {scale.bracket[1]:.3g}",

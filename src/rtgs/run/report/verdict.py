@@ -34,8 +34,10 @@ def _scale(run: RunRecords) -> tuple[str, list[str]]:
         return '<span class="badge none">Scale not estimated yet</span>', ["This run has no scale so far."]
     colour, words = _STATUS[scale.status]
     metres = scale.metres if scale.metres is not None and scale.metres.sfm_per_metre is not None else None
+    if scale.metres_per_sfm is None:
+        return '<span class="badge poor">No metres</span>', [f"{html.escape(first_upper(scale.no_metres))}"]
     elsewhere = metres is not None and metres.rests_on != ("baseline",)
-    interval = metres.ci95 if metres is not None and elsewhere else scale.ci95
+    interval = scale.metres_ci95
     sentence = f"One metre is <strong>{1 / scale.metres_per_sfm:.4g} SfM units</strong>"
     if interval:
         sentence += f" (95 % interval {interval[0]:.4g} to {interval[1]:.4g})"
@@ -50,7 +52,7 @@ def _scale(run: RunRecords) -> tuple[str, list[str]]:
         return '<span class="badge poor">Sources of metres disagree</span>', [f"<strong>{first}</strong>", *said]
     if scale.status != "ok" and not scale.doubt:
         colour, words = "fair", "Metres without the baseline"
-        said.append(f"The thermal images do not show the scale: {html.escape(scale.reason.rstrip('.'))}.")
+        said.append(f"The baseline tells no metres: {html.escape(scale.reason.rstrip('.'))}.")
     elif scale.status != "ok":
         reason = scale.reason.rstrip(".")
         said.append("Do not rely on this number" + (f": {html.escape(reason)}." if reason else "."))

@@ -45,7 +45,9 @@ def share(
     found = None
     if spots is not None:
         with long_work(listener, "spots", "spots") as progress:
-            found = find_spots(scene, subject.thermal, spots, metres_per_sfm=subject.metres_per_sfm, progress=progress)
+            found = find_spots(
+                scene, subject.thermal, spots, unit_per_sfm=scale.unit_per_sfm, length_unit=scale.length_unit, progress=progress
+            )
     out.parent.mkdir(parents=True, exist_ok=True)
     packed = write_page(out, subject, found, title or folder.path.resolve().name, most)
     listener(ResultLine(f"wrote {out}: {out.stat().st_size / 1e6:.1f} MB, opens in a browser without a server"))
@@ -56,6 +58,8 @@ def share(
                     f"{name}: {model.left_out:,} of the Gaussians, those that cover least, are left out (--most-gaussians)"
                 )
             )
+    if scale.no_metres:
+        listener(WarningLine(scale.no_metres))
     if scale.doubt:
         listener(WarningLine(f"lengths on the page may not be metres: {scale.doubt}"))
     return out

@@ -166,7 +166,7 @@ function listSpots() {
     part("number", String(spot.number));
     part("kind", spot.kind);
     part("value", degrees(spot.extreme) + (spot.std === null ? "" : ` ± ${spot.std.toFixed(1)}`));
-    part("more", `${spot.excess >= 0 ? "+" : ""}${degrees(spot.excess)} to its surroundings, ⌀ ${(100 * spot.diameterM).toPrecision(2)} cm, ${spot.views} views` +
+    part("more", `${spot.excess >= 0 ? "+" : ""}${degrees(spot.excess)} to its surroundings, ⌀ ${DATA.lengthUnit === "m" ? `${(100 * spot.diameterM).toPrecision(2)} cm` : `${spot.diameterM.toPrecision(2)} ${DATA.lengthUnit}`}, ${spot.views} views` +
       (spot.modelDiffers ? `; the model shows ${degrees(spot.modelled)}` : ""));
     button.dataset.number = String(spot.number);
     button.addEventListener("click", () => jumpTo(spot));

@@ -114,7 +114,7 @@ def _median_distance(subject: Subject) -> float:
 
 
 def _spot(number: int, spot: Spot, subject: Subject, frame: FileFrame) -> dict[str, Any]:
-    given = np.array(spot.position_m) / subject.metres_per_sfm
+    given = np.array(spot.position_m) / subject.unit_per_sfm
     position: Sequence[float] = frame.of(subject.scene.given_from_world.apply_inverse(given)).tolist()
     return {
         "number": number,
