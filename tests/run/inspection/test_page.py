@@ -8,10 +8,14 @@ from pathlib import Path
 
 import pytest
 from tests.helpers.inspection_pages import SPOTS, Report, report_of, write_spots
-from tests.helpers.made_up_run import evaluation, make_run
+from tests.helpers.made_up_run import estimate, evaluation, make_run, summary
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
+from rtgs.metres.combine import combine
+from rtgs.records.metres import MetresSource
 from rtgs.records.spots import SpotList
+from rtgs.run.folder import RunFolder
 from rtgs.run.inspection import InspectionFacts, write_inspection
 from rtgs.run.inspection.facts import CameraFacts, OrderFacts, SeverityClass, WeatherFacts
 
@@ -155,3 +159,36 @@ def test_what_cannot_be_used_is_refused(run: Path) -> None:
     with pytest.raises(RtgsError, match=r"spots\.json"):
         write_inspection(run, out)
     assert not out.exists()
+
+
+def test_lengths_in_doubt_come_without_an_accuracy(run: Path) -> None:
+    doubtful = replace(estimate(), status="unobservable", reason="flow is under half a pixel <x>", ci95=None, std_log=None)
+    RunFolder(run).write_scale(doubtful)
+    text = written(run).text
+    assert "Do not rely on lengths: flow is under half a pixel <x>" in text and "Lengths: flow is under" in text
+    assert "no accuracy of lengths may be claimed" in text and "95 % interval" not in text
+
+
+def test_lengths_rest_on_the_sources_that_count(run: Path) -> None:
+    sources = [MetresSource("baseline", 2.4312, 0.006, "edges"), MetresSource("gps", 2.44, 0.01, "RTK of 40 <photographs>")]
+    found = combine(sources, {"board": "no image shows it"})
+    RunFolder(run).write_scale(replace(estimate(), metres=found))
+    text = written(run).text
+    assert found.sfm_per_metre is not None and found.ci95 is not None
+    assert f"One metre is {found.sfm_per_metre:.5g} units" in text
+    assert f"95 % interval: {found.ci95[0]:.5g} to {found.ci95[1]:.5g}" in text
+    assert "Metres rest on: Baseline, GPS." in text and "GPS: RTK of 40 <photographs>." in text
+    assert "Board gives nothing: no image shows it." in text
+
+
+def test_counts_are_no_temperatures(run: Path) -> None:
+    write_json(run / "capture_summary.json", replace(summary(), unit="counts"))
+    spots = write_spots(run.parent / "counts", replace(SPOTS, unit="counts"))
+    page = written(run, spots=spots)
+    assert page.rows[-2]["Temperature"] == "46.0 counts ± 0.31" and page.rows[-2]["ΔT to surroundings"] == "+26.0 counts"
+    assert "no temperature may be claimed" in page.text and "on average" not in page.text
+
+
+def test_a_length_is_longest_where_a_metre_is_fewest_units(run: Path) -> None:
+    RunFolder(run).write_scale(replace(estimate(), ci95=(2.2, 2.6)))
+    assert "uncertain by −6.5 % to +11 %" in written(run).text

@@ -143,8 +143,9 @@ def _severity_table(report: Inspection) -> str:
     words = report.words
     head = "".join(f"<th>{words(f'findings.{key}')}</th>" for key in ("class_head", "from_head", "action_head"))
     rows = ""
+    unit = "counts" if report.run.unit == "counts" else "K"
     for entry in sorted(report.facts.severity, key=lambda c: c.from_k):
-        rows += f"<tr><td>{html.escape(entry.name)}</td><td>{entry.from_k:g}\u00a0K</td><td>{html.escape(entry.action)}</td></tr>"
+        rows += f"<tr><td>{html.escape(entry.name)}</td><td>{entry.from_k:g}\u00a0{unit}</td><td>{html.escape(entry.action)}</td></tr>"
     return f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
 
 

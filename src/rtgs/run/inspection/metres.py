@@ -48,7 +48,8 @@ def scale_section(report: Inspection) -> str:
 def _interval_text(report: Inspection) -> str:
     found = interval(report)
     if found is None:
-        return report.words("scale.no_interval")
+        doubt = report.run.scale is not None and report.run.scale.doubt
+        return report.words("scale.in_doubt") if doubt else report.words("scale.no_interval")
     value, low, high = found
     # A length is proportional to 1 / value: it is longest at the low end.
     above, below = (f"{100 * abs(value / end - 1):.2g}" for end in (low, high))
