@@ -41,7 +41,10 @@ ARGUMENTS = {
     "calibrate": ["target"],
     "experiment": ["synthetic"],
 }
-CALIBRATIONS = {"target": ["PATH", "--out", "--inner-corners", "--square-m", "--board", "--marker-m", "--dictionary"]}
+CALIBRATIONS = {
+    "target": ["PATH", "--out", "--inner-corners", "--square-m", "--board", "--marker-m", "--dictionary"],
+    "from-run": ["the run folder", "--write"],
+}
 EXPERIMENTS = {
     "synthetic": ["--out", "--table", "--size", "--frames", "--scenes", "--seeds", "--rgb.quality", "--workers"],
     "real": ["PATH", "--out", "--manual.frames", "--depth-model", "--mast3r-weights", "--plane-m", "--region", "--thermal.drift"],

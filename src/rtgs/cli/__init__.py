@@ -23,11 +23,11 @@ from rtgs.cli.manners import Manners, taken_out
 from rtgs.cli.options import saved_settings
 from rtgs.cli.overview import text_of
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
-from rtgs.cli.table import all_commands, calibrate_commands, experiment_commands
+from rtgs.cli.table import FROM_RUN, all_commands, calibrate_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
 
 _ABOUT = "From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both."
-_ABOUT_CALIBRATE = "A rig from pictures."
+_ABOUT_CALIBRATE = "A rig from pictures of a board, or from a run that found it."
 _ABOUT_EXPERIMENT = "The tables: this method and its rivals, on scenes whose truth is known and on captures."
 
 
@@ -98,6 +98,8 @@ def _run(arguments: Sequence[str], listener: Listener, manners: Manners) -> None
         table, prog, about, arguments = experiment_commands(listener), "rtgs experiment", _ABOUT_EXPERIMENT, arguments[1:]
     if arguments[:1] == ["calibrate"]:
         table, prog, about, arguments = calibrate_commands(listener), "rtgs calibrate", _ABOUT_CALIBRATE, arguments[1:]
+        if arguments and arguments[0] not in (*table, "-h", "--help"):
+            arguments = [FROM_RUN, *arguments]
     tyro.extras.subcommand_cli_from_dict(table, prog=prog, description=about, args=arguments or ["--help"])
 
 

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from rtgs.base.events import Listener
-from rtgs.cli.commands.calibrate import calibrate, target
+from rtgs.cli.commands.calibrate import calibrate, from_run, target
 from rtgs.cli.commands.convert import import_photographs, make_synthetic
 from rtgs.cli.commands.demo import demo
 from rtgs.cli.commands.doctor import doctor
@@ -20,6 +20,9 @@ from rtgs.cli.commands.view import view
 from rtgs.config import ExportConfig, RealExperimentConfig, RunConfig, SpotsConfig, SynthConfig, SyntheticExperimentConfig
 
 Commands: TypeAlias = dict[str, Callable[..., Any]]
+
+FROM_RUN = "from-run"
+"""The command behind `rtgs calibrate` that needs no name: `rtgs calibrate RUN`."""
 
 
 def all_commands(saved: RunConfig, listener: Listener, *, as_json: bool = False) -> Commands:
@@ -65,4 +68,4 @@ def experiment_commands(listener: Listener) -> Commands:
 
 def calibrate_commands(listener: Listener) -> Commands:
     """The commands behind `rtgs calibrate`."""
-    return {"target": partial(target, listener=listener)}
+    return {"target": partial(target, listener=listener), FROM_RUN: partial(from_run, listener=listener)}

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from rtgs.base.events import Listener, ResultLine, WarningLine, long_work
 from rtgs.cli.options import Flat, Folder, Hidden
 from rtgs.config import BoardConfig
 
+if TYPE_CHECKING:
+    from rtgs.records.rig import Rig
+
 
 def calibrate() -> None:
-    """Calibrate a rig: `rtgs calibrate target FOLDER ...` from pictures of a board."""
+    """Calibrate a rig: `target FOLDER` from pictures of a board, `RUN --write rig.json` from a run that found it."""
     raise AssertionError("`main` takes the commands behind `rtgs calibrate` from a table of their own")
 
 
@@ -42,6 +46,38 @@ def target(folder: Folder, out: Path, config: Annotated[BoardConfig, Flat], list
     listener(
         ResultLine(f"wrote {out / 'rig.json'}; add the thermal camera's temperature fields to it, if its counts are temperatures")
     )
+
+
+def from_run(run: Folder, write: Path, listener: Hidden) -> None:
+    """Keep the rig that a run found, with its uncertainty, for the next capture of the same two cameras.
+
+    `rtgs calibrate RUN --write rig.json` is the same: `from-run` may be left out.
+
+    Args:
+        run: the run folder.
+        write: the rig.json to write, outside the capture.
+    """
+    from rtgs.run.folder import RunFolder
+    from rtgs.run.found_rig import write_found_rig
+
+    rig = write_found_rig(RunFolder(run), write)
+    std = rig.calibration_std
+    assert std is not None
+    rows = [
+        ("baseline", 1000 * rig.baseline_m, 1000 * rig.baseline_m * std.baseline_length, "mm"),
+        ("rotation", _angle_deg(rig), math.degrees(std.rotation_rad), "°"),
+        ("thermal focal", rig.thermal.fl_x, rig.thermal.fl_x * std.thermal_focal, "px"),
+    ]
+    _table(listener, rows)
+    listener(ResultLine(f"wrote {write}"))
+
+
+def _angle_deg(rig: Rig) -> float:
+    """By how much the thermal camera is turned against the RGB camera."""
+    from rtgs.maths.geometry import axis_angle_from_rotation
+
+    x, y, z = axis_angle_from_rotation(rig.rgb_from_thermal.rotation).tolist()
+    return math.degrees(math.hypot(x, y, z))
 
 
 def _table(listener: Listener, rows: list[tuple[str, float, float, str]]) -> None:
