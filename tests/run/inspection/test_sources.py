@@ -16,7 +16,7 @@ from tests.helpers.radiometric_files import RADIOMETRY
 from rtgs.doctor import Diagnosis, Finding
 from rtgs.run.inspection.facts import CameraFacts, InspectionFacts
 from rtgs.run.inspection.inspection import Inspection
-from rtgs.run.inspection.metres import warnings_section
+from rtgs.run.inspection.metres import accuracy_section, warnings_section
 from rtgs.run.inspection.order import camera_section, order_section
 from rtgs.run.inspection.words import Words
 from rtgs.run.report.run_records import RunRecords
@@ -78,3 +78,12 @@ def test_errors_and_warnings_of_the_examination_are_shown_and_notes_are_not(repo
     findings = tuple(Finding("<blur>", level, f"a {level}.", "Hold still.") for level in ("error", "warning", "note"))
     text = Report(warnings_section(replace(report, diagnosis=Diagnosis(Path("capture"), findings)))).text
     assert "Capture, <blur>: a error. Hold still." in text and "a warning. Hold still." in text and "a note" not in text
+
+
+def test_the_emissivity_that_temperatures_rest_on_is_said(report: Inspection) -> None:
+    text = Report(accuracy_section(report)).text
+    assert f"computed with an emissivity of {RADIOMETRY.parameters.emissivity:g}." in text
+    stated = InspectionFacts(camera=CameraFacts(emissivity=0.5))
+    assert (
+        "The files do not say with which emissivity" in Report(accuracy_section(replace(report, subject=None, facts=stated))).text
+    )

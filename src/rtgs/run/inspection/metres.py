@@ -61,13 +61,13 @@ def accuracy_section(report: Inspection) -> str:
     words = report.words
     if report.run.unit == "counts":
         return card(words, "accuracy", lines([words("accuracy.counts"), words("accuracy.lengths")]))
-    stated = report.facts.camera.accuracy
+    stated, used = report.facts.camera.accuracy, report.used
     said = [
         *_of_model(report),
         *_of_findings(report),
         words("accuracy.camera", accuracy=stated) if stated else words("accuracy.no_camera"),
         words("accuracy.differences"),
-        words("accuracy.emissivity"),
+        words("accuracy.no_emissivity") if used is None else words("accuracy.emissivity", emissivity=f"{used.emissivity:g}"),
         words("accuracy.lengths"),
     ]
     return card(words, "accuracy", lines(said))
