@@ -220,6 +220,21 @@ def test_pictures_are_written(tmp_path: Path) -> None:
     assert not np.array_equal(before, after)
 
 
+def test_before_a_rig_was_found_the_edges_are_those_of_where_its_search_began(tmp_path: Path) -> None:
+    scene, rgb, thermal = perfect()
+
+    def overlays(turned_deg: float, right: float) -> list[bytes]:
+        pose = SE3(rotation_from_axis_angle(np.radians([0.0, turned_deg, 0.0])), np.array([right, 0.0, 0.0]))
+        rig = replace(scene.rig, rgb_from_thermal=pose)
+        start = replace(scene, capture=replace(scene.capture, rig=rig))
+        evaluate(scene, rgb, thermal, renders=tmp_path, start=start)
+        return [(tmp_path / "overlay" / f"000.{when}.png").read_bytes() for when in ("before", "after")]
+
+    first, farther, turned = overlays(0.0, 1.0), overlays(0.0, 3.0), overlays(4.0, 1.0)
+    assert first == farther  # no baseline was known
+    assert first[0] != turned[0] and first[1] == turned[1]
+
+
 def test_a_held_out_photograph_is_compared_with_the_drift_of_its_neighbours() -> None:
     scene, rgb, thermal = perfect()
     offsets = {frame.name: 0.5 * k for k, frame in enumerate(scene.capture.frames)}  # °C, a sensor that warms up

@@ -63,6 +63,15 @@ def test_the_report_claims_no_metres(tmp_path: Path) -> None:
     assert "One metre is" in text and "2 SfM units" in text and "No metres" not in text
 
 
+def test_overlays_of_a_found_rig_begin_where_its_search_began(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", renders=True)
+    assert "before: scale ignored" in page_of(run).text
+    RunFolder(run).write_scale(without())
+    text = page_of(run).text
+    assert "before: where the search for the rig began" in text and "after: rig as found" in text
+    assert "before: scale ignored" not in text
+
+
 @pytest.mark.thorough
 def test_everything_that_leaves_a_run_works_in_sfm_units(run: Path, tmp_path: Path) -> None:
     folder = RunFolder(run)

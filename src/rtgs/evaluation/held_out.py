@@ -29,6 +29,7 @@ def evaluate(
     *,
     lpips: Lpips | None = None,
     renders: Path | None = None,
+    start: Scene | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Score the models on the held-out frames: PSNR, SSIM, LPIPS, temperature error, and error of peaks.
@@ -42,6 +43,8 @@ def evaluate(
         lpips: the network. Without it, and for images under 32 px a side, no LPIPS is computed.
         renders: a folder for pictures: reference, render and error of each view, and the edge overlays at scale 1 and at the
             recovered scale.
+        start: where the search for the rig began, if it was found from the capture: the overlays before are then those of this rig, with
+            both cameras in the same place, since no baseline was known.
         progress: called with (frames done, frames in all, the frame's name).
 
     Returns:
@@ -64,7 +67,7 @@ def evaluate(
             if renders is not None:
                 _draw_thermal(renders / key, frame, temperature, scene, model)
         if renders is not None:
-            _draw_overlays(renders / "overlay", frame, scene, rgb_model, thermal_model)
+            _draw_overlays(renders / "overlay", frame, scene, rgb_model, thermal_model, start)
         if progress is not None:
             progress(done + 1, len(frames), frame.name)
     models = {key: ModelScores.of(per_frame) for key, per_frame in scores.items()}
@@ -114,10 +117,13 @@ def _draw_thermal(folder: Path, frame: Frame, temperature: np.ndarray, scene: Sc
     save_png(folder / f"{frame.name}.error.png", error_map(temperature, reference, THERMAL_ERROR_SHARE * (hi - lo), model.unit))
 
 
-def _draw_overlays(folder: Path, frame: Frame, scene: Scene, rgb_model: RgbModel, thermal_model: ThermalModel) -> None:
-    """Edges of the RGB model, seen from the thermal camera, on those of the thermal image: at scale 1 and at the recovered scale."""
+def _draw_overlays(
+    folder: Path, frame: Frame, scene: Scene, rgb_model: RgbModel, thermal_model: ThermalModel, start: Scene | None
+) -> None:
+    """Edges of the RGB model, seen from the thermal camera, on those of the thermal image: before and after."""
     thermal = thermal_model.range.normalise(frame.thermal)
-    for when, sfm_per_metre in (("before", 1.0), ("after", thermal_model.sfm_per_metre)):
-        pose = scene.thermal_from_world(frame.name, sfm_per_metre)
-        gray = rgb_model.render(scene.rig.thermal, pose) @ np.array(GRAY_WEIGHTS, np.float32)
+    before = (scene, 1.0) if start is None else (start, 0.0)
+    for when, (placed, sfm_per_metre) in (("before", before), ("after", (scene, thermal_model.sfm_per_metre))):
+        pose = placed.thermal_from_world(frame.name, sfm_per_metre)
+        gray = rgb_model.render(placed.rig.thermal, pose) @ np.array(GRAY_WEIGHTS, np.float32)
         save_png(folder / f"{frame.name}.{when}.png", edge_overlay(gray, thermal, scene.capture.thermal_mask))

@@ -152,8 +152,9 @@ def _score_held_out_views(job: Job) -> None:
     rgb, thermal, naive = folder.read_rgb(), folder.read_thermal(), folder.read_thermal("thermal_naive")
     networks, notes = available(["alexnet"])
     lpips = networks.get("alexnet")
+    start = None if folder.read_scale().calibration is None else folder.read_scene(job.capture, refined=False)
     with job.work("evaluate", TITLES["evaluate"]) as progress:
-        scores = evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=job.results.renders, progress=progress)
+        scores = evaluate(scene, rgb, thermal, naive, lpips=lpips, renders=job.results.renders, start=start, progress=progress)
     scores = replace(scores, notes=tuple(notes), timings_s={**folder.seconds(), **job.seconds})
     scores.write(job.results.path / "metrics.json")
     for line in metric_lines(scores):

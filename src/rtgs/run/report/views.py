@@ -24,6 +24,8 @@ def overlay_section(run: RunRecords) -> str:
         "<b class='key red'></b> edges of the thermal image, <b class='key white'></b> where the two meet.</p>"
     )
     captions = {"before": "before: scale ignored (1 SfM unit = 1 m)", "after": "after: scale as found"}
+    if run.scale is not None and run.scale.calibration is not None:
+        captions = {"before": "before: where the search for the rig began", "after": "after: rig as found"}
     rows = []
     for name in names:
         figures = [figure(picture(run, "overlay", name, what), caption, sharp=True) for what, caption in captions.items()]
