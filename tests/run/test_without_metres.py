@@ -58,6 +58,10 @@ def test_the_report_claims_no_metres(tmp_path: Path) -> None:
     RunFolder(run).write_scale(without())
     text = page_of(run).text
     assert "No metres" in text and "known distance" in text and "One metre is" not in text
+    assert "SfM units in the baseline" not in text and "the scan" not in text  # the images tell none
+    RunFolder(run).write_scale(without(NEAR))
+    text = page_of(run).text
+    assert "SfM units in the baseline" in text and "the scan" in text
     RunFolder(run).write_scale(replace(without(), metres=combine([DISTANCE])))
     text = page_of(run).text
     assert "One metre is" in text and "2 SfM units" in text and "No metres" not in text

@@ -114,7 +114,10 @@ def _find_scale(job: Job) -> None:
     job.results.write_scene(estimate.refined_scene(scene), estimate.sfm_per_metre)
     interval = f" (95 %: {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g})" if estimate.ci95 else ""
     per = "metre" if estimate.calibration is None or estimate.baseline_m is not None else "baseline"
-    job.say(f"scale: {estimate.sfm_per_metre:.5g} SfM units per {per}{interval}, {estimate.status}")
+    seen = estimate.calibration is None or estimate.calibration.baseline_seen
+    job.say(
+        f"scale: {f'{estimate.sfm_per_metre:.5g} SfM units per {per}{interval}' if seen else 'no baseline'}, {estimate.status}"
+    )
     if estimate.no_metres or estimate.reason:
         job.warn(estimate.no_metres or estimate.reason)
     for f in estimate.refinement.freedoms if estimate.refinement else []:

@@ -22,7 +22,8 @@ def scale_section(run: RunRecords) -> str:
     note = f"<p>{html.escape(first_upper(scale.reason))}</p>" if scale.reason else ""
     solver = _SOLVERS.get(scale.solver, scale.solver)
     second = local_chart(scale) if scale.solver == "global" else history_chart(scale, solver)
-    charts = [chart for chart in (scan_chart(scale), second) if chart]
+    seen = scale.calibration is None or scale.calibration.baseline_seen  # else curves over its length say nothing
+    charts = [chart for chart in (scan_chart(scale), second) if chart and seen]
     pair = f'<div class="pair">{"".join(charts)}</div>' if charts else ""
     rig = _found_rig(scale.calibration) + _refinement(scale.refinement, found=scale.calibration is not None)
     return section("Scale", facts(_facts(scale, solver)) + note + pair + rig)
@@ -31,7 +32,7 @@ def scale_section(run: RunRecords) -> str:
 def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
     minima = [f"{m.sfm_per_metre:.4g} (better in {100 * m.chance:.2g} % of resamples)" for m in scale.minima]
     return {
-        "SfM units per metre" if scale.baseline_m is not None else "SfM units in the baseline": f"{scale.sfm_per_metre:.5g}",
+        **_sfm_units(scale),
         "Metres per SfM unit": None if scale.metres_per_sfm is None else f"{scale.metres_per_sfm:.5g}",
         "Standard error": None if scale.std_log is None else f"{100 * scale.std_log:.2g} %",
         "95 % interval": None if scale.ci95 is None else f"{scale.ci95[0]:.5g} to {scale.ci95[1]:.5g}",
@@ -44,6 +45,14 @@ def _facts(scale: ScaleEstimate, solver: str) -> dict[str, str | int | None]:
         "Edges miss each other by": f"{scale.misfit_px:.2g} px" if scale.misfit_px else None,
         "Frames that disagree": ", ".join(scale.disagreeing) or None,
     }
+
+
+def _sfm_units(scale: ScaleEstimate) -> dict[str, str]:
+    """What places the thermal cameras; nothing where the images tell no baseline."""
+    if scale.calibration is not None and not scale.calibration.baseline_seen:
+        return {}
+    per_metre = scale.calibration is None or scale.baseline_m is not None
+    return {"SfM units per metre" if per_metre else "SfM units in the baseline": f"{scale.sfm_per_metre:.5g}"}
 
 
 def _found_rig(found: FoundRig | None) -> str:
