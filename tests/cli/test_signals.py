@@ -89,7 +89,16 @@ def test_a_stop_that_another_error_hides_is_still_a_stop(
     with pytest.raises(SystemExit) as ended:
         main(["synth", "--out", str(tmp_path / "capture"), "--frames", "3", "--size", "8"], listener)
     assert ended.value.code == code
-    assert "stopped" in capsys.readouterr().err
+    assert capsys.readouterr().err.strip() == "stopped"  # this command begins anew
+
+
+def test_a_stopped_run_says_that_it_can_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def listener(event: Event) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(SystemExit):
+        main(["demo", "--out", str(tmp_path)], listener)
+    assert "the same command goes on" in capsys.readouterr().err
 
 
 def test_an_error_without_a_stop_is_none() -> None:

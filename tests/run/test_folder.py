@@ -37,8 +37,31 @@ def test_a_damaged_file_is_named(run: Path, name: str, damage: str) -> None:
 @pytest.mark.parametrize("name", [name for name in READERS if name not in ("stages.json", "scene")])
 def test_a_missing_file_is_named(run: Path, name: str) -> None:
     (run / name).unlink()
-    with pytest.raises(RtgsError, match=name):
+    with pytest.raises(RtgsError, match=f"{name}.*rtgs run" if name != "config.json" else name):
         READERS[name](RunFolder(run))
+
+
+@pytest.mark.parametrize("name", ["rgb.ply", "thermal.ply"])
+def test_a_cut_off_model_says_how_to_get_it_back(run: Path, name: str) -> None:
+    (run / name).write_bytes((run / name).read_bytes()[:1000])
+    with pytest.raises(RtgsError, match=rf"{name}: .*[^.]\. Remove it and run again\.$"):
+        READERS[name](RunFolder(run))
+
+
+def test_output_into_or_below_a_file_is_refused(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    outputs = {"render": file, "spots": file / "in it", "export": file, "share": file / "page.html"}
+    for command, out in outputs.items():
+        assert recorded([command, str(run), "--out", str(out)])[1] == 2, command
+        assert f"{file}: is a file, and a folder is needed" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("command", ["doctor", "run"])
+def test_a_run_is_no_capture(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    more = ["--out", str(tmp_path / "new")] if command == "run" else []
+    assert recorded([command, str(run), *more])[1] == 2
+    assert "is a run folder, not a capture" in capsys.readouterr().err
 
 
 def test_a_run_without_stages_has_none(run: Path) -> None:

@@ -22,19 +22,19 @@ N = 5
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("info") / "capture"
     write_capture(path, SynthConfig(frames=3, size=24, supersampling=1, thermal_clean=False, seed=1))
     return path
 
 
-def test_a_capture_and_its_files(capture: Path) -> None:
-    facts = describe(capture)
+def test_a_capture_and_its_files(small_capture: Path) -> None:
+    facts = describe(small_capture)
     assert (facts["kind"], facts["frames"], facts["unit"]) == ("capture", 3, "°C") and facts["poses"] == "3 came along"
-    rig = describe(capture / "rig.json")
+    rig = describe(small_capture / "rig.json")
     assert rig["kind"] == "rig" and rig["baseline in metres"] == pytest.approx(facts["baseline in metres"])
-    assert describe(capture / "transforms.json")["frames"] == 3
-    picture = describe(next((capture / "thermal").iterdir()))
+    assert describe(small_capture / "transforms.json")["frames"] == 3
+    picture = describe(next((small_capture / "thermal").iterdir()))
     assert picture["width"] == 24 and picture["numbers"]["least"] < picture["numbers"]["largest"]
 
 
@@ -46,6 +46,17 @@ def test_a_run_and_its_files(tmp_path: Path) -> None:
     assert scores["thermal mae_c"] == 0.58
     if (run / "config.json").exists():
         assert describe(run)["thermal psnr"] == 31.84
+
+
+def test_a_run_says_what_has_been_removed_from_it(run: Path) -> None:
+    assert describe(run)["files missing"] == []
+    (run / "thermal.ply").unlink()
+    assert describe(run)["files missing"] == ["thermal.ply"]
+
+
+def test_pictures_of_a_run_are_no_capture(run: Path) -> None:
+    with pytest.raises(RtgsError, match="none of what rtgs knows"):
+        describe(run / "renders")
 
 
 def test_a_model(tmp_path: Path) -> None:

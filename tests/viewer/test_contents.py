@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from tests.helpers.viewed_wall import NAMES
 
+from rtgs.base.errors import RtgsError
 from rtgs.run.folder import RunFolder
 from rtgs.viewer.contents import PARTS, Contents, read_contents
+from rtgs.viewer.start import Viewer
 
 
 def test_a_whole_run_has_everything_and_nothing_to_say(contents: Contents) -> None:
@@ -22,6 +24,13 @@ def test_an_empty_folder_says_what_is_missing(tmp_path: Path) -> None:
     found = read_contents(tmp_path / "nothing")
     assert found.rgb is found.thermal is found.scale is found.scene is None
     assert set(found.messages) >= set(PARTS)
+
+
+@pytest.mark.parametrize("name", ["nothing", "capture"])
+def test_a_folder_that_is_no_run_is_not_opened(tmp_path: Path, name: str) -> None:
+    (tmp_path / "capture" / "rgb").mkdir(parents=True)
+    with pytest.raises(RtgsError, match="not a run folder"):
+        Viewer(tmp_path / name, port=0)
 
 
 @pytest.mark.parametrize(

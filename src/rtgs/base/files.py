@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from errno import EDQUOT, EFBIG, EIO, ENOSPC
 from pathlib import Path
 
+from rtgs.base.errors import RtgsError
+
 
 @contextmanager
 def write_whole(path: Path) -> Iterator[Path]:
@@ -69,6 +71,19 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def check_folder(path: Path) -> None:
+    """Look whether `path` is a folder or can be made one, before work whose results go there.
+
+    Raises:
+        RtgsError: it is a file, or lies below one.
+    """
+    for place in (path, *path.parents):
+        if place.is_dir():
+            return
+        if place.exists():
+            raise RtgsError(f"{place}: is a file, and a folder is needed there. Name another folder.")
 
 
 def room(folder: Path) -> float:

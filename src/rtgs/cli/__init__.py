@@ -28,6 +28,7 @@ from rtgs.cli.terminal import Terminal
 
 _ABOUT = "From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both."
 _ABOUT_CALIBRATE = "A rig from pictures of a board, or from a run that found it."
+_GO_ON = ("run", "sfm", "rgb", "scale", "thermal", "eval", "demo", "experiment")  # the others begin anew
 _ABOUT_EXPERIMENT = "The tables: this method and its rivals, on scenes whose truth is known and on captures."
 
 
@@ -64,7 +65,8 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
             _run(arguments, to_all(listener or Terminal(manners), stopper), manners)
     except (Exception, KeyboardInterrupt) as error:
         if (stop := stop_behind(error)) is not None:
-            Console(stderr=True).print("stopped; the same command goes on from here")
+            goes_on = arguments[:1] in ([name] for name in _GO_ON)
+            Console(stderr=True).print("stopped; the same command goes on from here" if goes_on else "stopped")
             sys.exit(143 if isinstance(stop, Terminated) else 130)
         if isinstance(error, BrokenPipeError):
             raise

@@ -47,6 +47,18 @@ def is_run(path: Path) -> bool:
     return (path / NAME).exists()
 
 
+def check_run(path: Path) -> None:
+    """Raises `RtgsError` where the folder holds no run."""
+    if not is_run(path):
+        raise RtgsError(f"{path}: not a run folder (no config.json). Start one with `rtgs run CAPTURE --out {path}`.")
+
+
+def refuse_run(capture: Path) -> None:
+    """Raises `RtgsError` where a folder that should be a capture is a run."""
+    if is_run(capture):
+        raise RtgsError(f"{capture}: is a run folder, not a capture. Name its capture; `rtgs info {capture}` says where that is.")
+
+
 def write_config(run: Path, saved: SavedRun) -> None:
     """Write `config.json`; the folder exists."""
     config = saved.config
@@ -66,8 +78,7 @@ def read_config(run: Path) -> SavedRun:
     Raises:
         RtgsError: no run here, or an unreadable file.
     """
-    if not is_run(run):
-        raise RtgsError(f"{run}: not a run folder (no config.json). Start one with `rtgs run CAPTURE --out {run}`.")
+    check_run(run)
     path = run / NAME
     data = read_json(path, remedy="Put back a copy of it, or choose another folder for the run.")
     if not isinstance(data, dict) or not isinstance(data.get("capture"), str) or "settings" not in data:

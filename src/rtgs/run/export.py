@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, ResultLine, WarningLine, long_work, nobody
+from rtgs.base.files import check_folder
 from rtgs.base.json_records import write_json
 from rtgs.config import ExportConfig
 from rtgs.io.exports.formats import FORMATS
@@ -29,6 +30,7 @@ def export(folder: RunFolder, scene: Scene, out: Path, settings: ExportConfig, l
             needs a library that is not there.
     """
     refuse_own_folders(folder, scene, out)
+    check_folder(out)
     formats = {name: FORMATS[name] for name in settings.formats}
     for name, chosen in formats.items():
         chosen.check()

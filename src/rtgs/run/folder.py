@@ -9,7 +9,7 @@ from typing import Any
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.events import Listener, WarningLine, nobody
-from rtgs.base.files import remove, write_whole
+from rtgs.base.files import check_folder, remove, write_whole
 from rtgs.base.json_records import from_json, read_json, read_record, write_json
 from rtgs.base.memory import Memory
 from rtgs.io.capture import load_capture
@@ -287,8 +287,9 @@ def refuse_own_folders(folder: RunFolder, scene: Scene, out: Path) -> None:
     """Keep exports from overwriting what they are made from: the run's PLYs and scene, the capture's poses.
 
     Raises:
-        RtgsError: `out` is the run folder, or the capture or inside of it.
+        RtgsError: `out` is the run folder, or the capture or inside of it; or it lies below a file.
     """
+    check_folder(out.parent)
     here, capture = out.resolve(), scene.capture.root.resolve()
     if here == folder.path.resolve() or here == capture or capture in here.parents:
         whose = "is the run folder itself" if here == folder.path.resolve() else "lies inside the capture"

@@ -27,6 +27,7 @@ from rtgs.records.rig import Rig
 from rtgs.run.config_file import is_run
 from rtgs.run.folder import RunFolder
 from rtgs.run.records import CaptureSummary
+from rtgs.run.stages import STAGES
 from rtgs.scale import ScaleEstimate
 
 Facts: TypeAlias = dict[str, Any]
@@ -61,7 +62,7 @@ def describe(path: Path) -> Facts:
         if kind.recognises(path):
             return {"kind": kind.name, "path": str(path)} | kind.facts(path)
     known = ", ".join(dict.fromkeys(kind.name for kind in KINDS))
-    raise RtgsError(f"{path}: is nothing that rtgs knows: {known}.")
+    raise RtgsError(f"{path}: is none of what rtgs knows: {known}.")
 
 
 def _run(path: Path) -> Facts:
@@ -69,6 +70,9 @@ def _run(path: Path) -> Facts:
     saved = folder.read_config()
     facts: Facts = {"capture": str(saved.capture), "version": saved.version}
     facts["stages done"] = [name for name, entry in folder.entries().items() if entry.fingerprint]
+    facts["files missing"] = [
+        made for stage in STAGES if stage.name in facts["stages done"] for made in stage.makes if not (path / made).exists()
+    ]
     facts["stages begun"] = [name for name, entry in folder.entries().items() if entry.begun]
     if (path / "capture_summary.json").exists():
         summary = CaptureSummary.read(path / "capture_summary.json")
@@ -249,10 +253,15 @@ def _has(*names: str) -> Callable[[Path], bool]:
     return lambda path: path.is_dir() and any((path / name).exists() for name in names)
 
 
+def _is_capture(path: Path) -> bool:
+    """A folder of pictures in a run, `renders`, has subfolders of the same names."""
+    return _has("rig.json", "rgb")(path) and not is_run(path.parent)
+
+
 KINDS: Sequence[Kind] = (
     Kind("run folder", is_run, _run),
     Kind("COLMAP model", _has("cameras.bin", "cameras.txt"), _colmap),
-    Kind("capture", _has("rig.json", "rgb"), _capture),
+    Kind("capture", _is_capture, _capture),
     Kind("scale", _named("scale.json"), _scale),
     Kind("scores", _named("metrics.json"), _metrics),
     Kind("rig", _named("rig.json"), _rig),

@@ -5,16 +5,17 @@ The files are in the given frame. `given_from_world` leads there from the world 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.json_records import RUN_AGAIN, read_record, write_json
+from rtgs.base.json_records import RUN_AGAIN, RUN_MAKES_IT, read_record, write_json
 from rtgs.images.pictures import save_tiff
 from rtgs.io.exports.gaussian_ply import write_thermal_ply
 from rtgs.io.image_files import read_counts
@@ -24,6 +25,8 @@ from rtgs.models import GaussianTemperatures, RgbModel, SensorModel, ThermalMode
 from rtgs.records.decision import Decision
 from rtgs.records.radiometry import LinearRange, PlanckRange
 from rtgs.renderer import RenderSettings
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,10 @@ def read_rgb(run: Path, given_from_world: Sim3) -> RgbModel:
         RtgsError: a file is missing or damaged.
     """
     file = read_record(RgbFile, run / "rgb.json")
-    gaussians, settings = read_ply(run / "rgb.ply", given_from_world), _in_unit(file.settings, 1.0 / given_from_world.factor)
+    gaussians, settings = (
+        _read_ply(read_ply, run / "rgb.ply", given_from_world),
+        _in_unit(file.settings, 1.0 / given_from_world.factor),
+    )
     if gaussians.channels != 3:
         raise RtgsError(f"{run / 'rgb.ply'}: is a thermal model of one channel. {RUN_AGAIN}")
     return RgbModel(gaussians, _background(run / "rgb.json", file.background, 3), settings, file.history, file.decisions)
@@ -101,7 +107,7 @@ def read_thermal(run: Path, name: str, given_from_world: Sim3) -> ThermalModel:
         RtgsError: a file is missing or damaged, or an older version wrote it.
     """
     file = read_record(ThermalFile, run / f"{name}.json")
-    ply = read_thermal_ply(run / f"{name}.ply", given_from_world)
+    ply = _read_ply(read_thermal_ply, run / f"{name}.ply", given_from_world)
     found = [ply.properties[name] for name in THERMAL_PROPERTIES if name in ply.properties]
     return ThermalModel(
         gaussians=ply.gaussians,
@@ -116,6 +122,16 @@ def read_thermal(run: Path, name: str, given_from_world: Sim3) -> ThermalModel:
         temperatures=GaussianTemperatures(*found) if len(found) == len(THERMAL_PROPERTIES) else None,
         decisions=file.decisions,
     )
+
+
+def _read_ply(read: Callable[[Path, Sim3], T], path: Path, given_from_world: Sim3) -> T:
+    """A PLY of a run; errors say how to get it back."""
+    if not path.exists():
+        raise RtgsError(f"{path}: no such file. {RUN_MAKES_IT}")
+    try:
+        return read(path, given_from_world)
+    except RtgsError as error:
+        raise RtgsError(f"{str(error).removesuffix('.')}. {RUN_AGAIN}") from error
 
 
 def _in_unit(settings: RenderSettings, factor: float) -> RenderSettings:

@@ -16,7 +16,7 @@ from rtgs.doctor import examine
 from rtgs.records.capture import Capture
 from rtgs.renderer import check_backend
 from rtgs.rgb.imported import model_from_ply
-from rtgs.run.config_file import SavedRun
+from rtgs.run.config_file import SavedRun, refuse_run
 from rtgs.run.content import Content, Hashes, read_content
 from rtgs.run.folder import RunFolder
 from rtgs.run.job import Job
@@ -67,6 +67,7 @@ class Pipeline:
             raise RtgsError(f"--out {out}: exists and is no run folder; choose another one.")
         if not capture.is_dir():
             raise RtgsError(f"{capture}: no such folder; a capture holds rgb/, thermal/ and rig.json.")
+        refuse_run(capture)
         _check_settings(config, folder)
         config = replace(config, rgb_ply=config.rgb_ply and config.rgb_ply.resolve())
         with locked(out):

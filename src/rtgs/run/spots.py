@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rtgs.base.csv_files import write_csv
-from rtgs.base.files import remove
+from rtgs.base.files import check_folder, remove
 from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
@@ -35,6 +35,7 @@ def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, 
         RtgsError: `out` is the run or lies in the capture, or the thermal model is missing.
     """
     refuse_own_folders(folder, scene, out)
+    check_folder(out)
     scale, place = folder.read_scale(), folder.read_georeference()
     model = folder.read_thermal()
     found = find_spots(scene, model, config, unit_per_sfm=scale.unit_per_sfm, length_unit=scale.length_unit, progress=progress)

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import check_folder
 from rtgs.base.progress import Progress
 from rtgs.images.pictures import palette, save_png, save_tiff, to_picture, with_colour_bar
 from rtgs.records.radiometry import PlanckRadiometry
@@ -47,6 +48,7 @@ def render_views(
             run without a thermal model; an `out` that is the run or lies in the capture.
     """
     refuse_own_folders(folder, scene, out)
+    check_folder(out)
     names = [normalize("NFC", name) for name in names]  # as frames are named
     unknown = sorted(set(names) - set(scene.world_from_rgb))
     if unknown:

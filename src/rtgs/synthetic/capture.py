@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.files import check_folder
 from rtgs.base.json_records import to_json, write_json
 from rtgs.config import SceneName, SynthConfig
 from rtgs.images.pictures import save_png, save_tiff
@@ -191,8 +192,8 @@ def _check_free(out: Path) -> None:
         if files and (not marked or foreign):
             found = foreign[0] if foreign else f"no {GROUND_TRUTH_JSON}"
             raise RtgsError(f"{out}: holds something other than a synthetic capture ({found}); name a new or empty folder")
-    elif out.exists():
-        raise RtgsError(f"{out}: is a file; name a folder for the capture")
+    else:
+        check_folder(out)
 
 
 def _clear(out: Path) -> None:

@@ -104,7 +104,7 @@ def _thresholds(scene: Scene, model: ThermalModel, config: SpotsConfig) -> tuple
         low, high = (float(v) for v in np.percentile(values, [100 - config.percentile, config.percentile]))
         above, below = high if above is None else above, low if below is None else below
     if above is None and below is None:
-        return None, f"{config.excess:g} {unit} or more off the surface around"
+        return None, f"{config.excess:g} {unit} or more warmer or colder than the surface around"
     found = {sign: value for sign, value in ((1, above), (-1, below)) if value is not None}
     words = [f"{'above' if sign > 0 else 'below'} {value:.4g} {unit}" for sign, value in found.items()]
     return found, " or ".join(words)

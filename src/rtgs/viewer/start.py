@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import viser
 
-from rtgs.base.errors import RtgsError
 from rtgs.maths.geometry import SE3, look_at
+from rtgs.run.config_file import check_run
 from rtgs.viewer.contents import Contents, read_contents
 from rtgs.viewer.engine import Engine, Eye
 from rtgs.viewer.guard import GuardedServer
@@ -118,8 +118,7 @@ class Viewer:
     """
 
     def __init__(self, run: Path, *, host: str = "127.0.0.1", port: int = 8080, spots: Path | None = None) -> None:
-        if not run.is_dir():
-            raise RtgsError(f"{run}: no such folder; a run folder is expected.")
+        check_run(run)
         self.hub = Hub(run, spots)
         self.server = GuardedServer(host, port, f"rtgs · {self.hub.name}")
         self.server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")

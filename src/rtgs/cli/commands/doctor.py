@@ -29,7 +29,9 @@ def doctor(capture: Folder, listener: Hidden, *, as_json: Annotated[bool, tyro.c
     """
     from rtgs.base.json_records import to_json
     from rtgs.doctor import examine
+    from rtgs.run.config_file import refuse_run
 
+    refuse_run(capture)
     with long_work(nobody if as_json else listener, "doctor", "examination") as progress:
         diagnosis = examine(capture, progress=progress)
     if as_json:

@@ -65,7 +65,7 @@ def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener
     scene = folder.load_scene(listener)
     with long_work(listener, "spots", "views") as progress:
         found = list_spots(folder, scene, out, config, progress=progress)
-    listener(ResultLine(f"spots: {len(found.spots)}, {found.criterion}, in {out}"))
+    listener(ResultLine(f"spots: {len(found.spots)} ({found.criterion}), in {out}"))
     for number, spot in enumerate(found.spots[:_SHOWN], start=1):
         listener(ResultLine("  " + spot_line(number, spot, found.unit, found.length_unit)))
 

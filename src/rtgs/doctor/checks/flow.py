@@ -25,7 +25,7 @@ def check(patient: Patient) -> list[Finding]:
         return [Finding("flow", "note", "the rig is not known yet, and so is not by how much its baseline moves things")]
     x, y, z = rig.rgb_from_thermal.rotation.T @ rig.rgb_from_thermal.translation
     speed = max(float(np.hypot(x, y)) * rig.thermal.fl_x, abs(float(z)) * rig.thermal.width / 4)
-    table = ", ".join(f"{speed / depth:.3g} px at {depth:g} m" for depth in _DEPTHS_M)
+    table = ", ".join(f"{_three_digits(speed / depth)} px at {depth:g} m" for depth in _DEPTHS_M)
     found = [Finding("flow", "note", f"the baseline moves things in the thermal image by {table}")]
     seen = find_disparity(patient.looks, rig)
     if not seen.clear:
@@ -39,6 +39,10 @@ def check(patient: Patient) -> list[Finding]:
     text += f"; expected 95 % interval of the scale: ± {100 * half:.2g} %, if rig.json is right"
     level: Level = "warning" if half > 0.1 else "note"
     return [*found, Finding("flow", level, text, _REMEDY if level == "warning" else "")]
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def half_width(flow_px: float, frames: int, patient: Patient) -> float:
