@@ -91,7 +91,7 @@ function placeMark() {
   out.style.top = `${100 * at.y}%`;
 }
 
-const degrees = (v, digits = 1) => `${v.toFixed(digits)} ${DATA.unit}`;
+const degrees = (v, digits = 1) => `${v.toFixed(digits).replace("-", "−")} ${DATA.unit}`;
 
 function readAt(x, y) {
   const kind = state.kind;
@@ -166,7 +166,7 @@ function listSpots() {
     part("number", String(spot.number));
     part("kind", spot.kind);
     part("value", degrees(spot.extreme) + (spot.std === null ? "" : ` ± ${spot.std.toFixed(1)}`));
-    part("more", `${spot.excess >= 0 ? "+" : ""}${degrees(spot.excess)} to its surroundings, ⌀ ${DATA.lengthUnit === "m" ? `${(100 * spot.diameterM).toPrecision(2)} cm` : `${spot.diameterM.toPrecision(2)} ${DATA.lengthUnit}`}, ${spot.views} views` +
+    part("more", `${spot.excess >= 0 ? "+" : ""}${degrees(spot.excess)} to its surroundings, ⌀\u00a0${DATA.lengthUnit === "m" ? `${(100 * spot.diameterM).toPrecision(2)}\u00a0cm` : `${spot.diameterM.toPrecision(2)}\u00a0${DATA.lengthUnit}`}, ${spot.views} views` +
       (spot.modelDiffers ? `; the model shows ${degrees(spot.modelled)}` : ""));
     button.dataset.number = String(spot.number);
     button.addEventListener("click", () => jumpTo(spot));
