@@ -57,6 +57,12 @@ def test_output_into_or_below_a_file_is_refused(run: Path, tmp_path: Path, capsy
         assert f"{file}: is a file, and a folder is needed" in " ".join(capsys.readouterr().err.split())
 
 
+def test_a_capture_gets_no_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rgb").mkdir()
+    assert recorded(["report", str(tmp_path)])[1] == 2
+    assert "not a run folder" in capsys.readouterr().err and not (tmp_path / "report.html").exists()
+
+
 @pytest.mark.parametrize("command", ["doctor", "run"])
 def test_a_run_is_no_capture(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
     more = ["--out", str(tmp_path / "new")] if command == "run" else []

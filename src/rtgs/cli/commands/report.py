@@ -57,8 +57,10 @@ def report(
 
 
 def _technical(run: Path, listener: Hidden, given: dict[str, object]) -> None:
+    from rtgs.run.config_file import check_run
     from rtgs.run.report import write_report
 
+    check_run(run)
     named = [flag for flag, value in given.items() if value not in (None, False)]
     if named:
         raise RtgsError(f"{named[0]}: belongs to the inspection report; add `--template inspection`.")
