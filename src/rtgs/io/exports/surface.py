@@ -15,9 +15,10 @@ from rtgs.io.exports.subject import Subject
 from rtgs.maths.geometry import SE3
 from rtgs.maths.sh import C0
 from rtgs.records.camera import Camera
-from rtgs.renderer import render
+from rtgs.renderer import Render, render
 
 _OPAQUE = 0.95  # of a pixel that counts as surface
+_SEEN = 0.05  # opacity below which Gaussians do not count
 _STEP = 0.05  # relative step of depth between neighbours from which on a pixel is an edge: its mean depth lies in the air
 _MOST = 4_000_000  # points before they are thinned
 
@@ -64,8 +65,17 @@ def surface_view(subject: Subject, camera: Camera, pose: SE3, *, opaque: float =
     solid = alpha >= opaque
     with np.errstate(invalid="ignore", divide="ignore"):
         depth = np.where(solid, view.depth.numpy() / alpha, np.nan)
-    colour = view.over(rgb.background).numpy().clip(0.0, 1.0)
-    return View(colour, thermal.render(camera, pose), _error(subject, camera, pose), depth)
+    with torch.no_grad():
+        warm = render(thermal.gaussians, camera, pose, settings=thermal.settings)
+    temperature = thermal.color_range.expand(_of_surface(warm, thermal.background)[..., 0])
+    return View(_of_surface(view, rgb.background).clip(0.0, 1.0), temperature, _error(subject, camera, pose), depth)
+
+
+def _of_surface(view: Render, background: torch.Tensor) -> NDArray[np.float32]:
+    """`[h, w, C]`: the mean of the Gaussians alone where there are any. What shines through between them is no part of the surface."""
+    alpha = view.alpha[..., None]
+    alone = view.color.detach() / alpha.clamp_min(_SEEN)
+    return torch.where(alpha > _SEEN, alone, view.over(background)).detach().numpy()
 
 
 def pixel_size(subject: Subject) -> float:
@@ -149,4 +159,4 @@ def _error(subject: Subject, camera: Camera, pose: SE3) -> NDArray[np.float32]:
     with torch.no_grad():
         view = render(gaussians, camera, pose, settings=model.settings)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(view.alpha.numpy() > 0.05, view.color[..., 0].numpy() / view.alpha.numpy(), np.nan).astype(np.float32)
+        return np.where(view.alpha.numpy() > _SEEN, view.color[..., 0].numpy() / view.alpha.numpy(), np.nan).astype(np.float32)
