@@ -49,7 +49,7 @@ def test_every_command_is_shown() -> None:
     for prefix in ("calibrate", "experiment"):
         arguments = [sys.executable, "-m", "rtgs", *prefix.split(), "--help"]
         done = subprocess.run(arguments, capture_output=True, text=True, check=True)
-        commands = re.search(r"\{([a-z,]+)\}", re.sub(r"\s", "", re.sub(r"[│\n]", "", done.stdout)))
+        commands = re.search(r"\{([a-z,-]+)\}", re.sub(r"\s", "", re.sub(r"[│\n]", "", done.stdout)))
         assert commands is not None
         for command in commands[1].split(","):
             assert f"{prefix} {command}" in shown
