@@ -69,6 +69,12 @@ class Visit:
         assert found is not None
         return found
 
+    def knows_the_canvas(self) -> bool:
+        """A panel that opens takes room from the canvas, and the session hears of it later."""
+        _, _, width, height = self.canvas()
+        camera = self.session.eye().camera
+        return abs(camera.width / camera.height * height / width - 1) < 0.01
+
     def look_from(self, position_m: tuple[float, float, float]) -> None:
         """Put the browser's camera there, facing the wall."""
         contents = self.session.contents
@@ -76,12 +82,13 @@ class Visit:
         self.session.fly_to(
             Eye.of(640, 480, 0.7, contents.given_from_world.carry_inverse(given)), TRUTH * (PLANE_M - position_m[2])
         )
-        target = contents.given_from_world.carry_inverse(given).translation
-        wait_for(lambda: np.allclose(self.session.eye().world_from_camera.translation, target, atol=1e-4), "the camera is there")
+        target = contents.given_from_world.carry_inverse(given).matrix()
+        wait_for(lambda: np.allclose(self.session.eye().world_from_camera.matrix(), target, atol=1e-3), "the camera is there")
         self.at_rest()
 
     def pixel_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:
         """Where a place of the run is on the page."""
+        wait_for(self.knows_the_canvas, "the session knows the canvas's shape")
         left, top, width, height = self.canvas()
         eye = self.session.eye()
         place = eye.world_from_camera.inverse().apply(self.session.contents.world(np.array(position_m)))
