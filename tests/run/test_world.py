@@ -48,8 +48,8 @@ def test_the_same_scores_and_the_same_scale_in_its_unit(finished: Path, moved: t
     assert scale.sfm_per_metre == pytest.approx(unit * first.sfm_per_metre, rel=1e-4)
     assert scale.bracket == pytest.approx([unit * s for s in first.bracket], rel=1e-4)
     assert scale.status == first.status
-    # The curvature of a loss that hardly depends on the scale magnifies rounding; in this run the deviation is as large as the scale.
-    assert scale.std_log == pytest.approx(first.std_log, rel=1e-2)
+    # To three digits: this run does not decide the scale (the deviation is as large as it), and a flat loss magnifies rounding.
+    assert scale.std_log == pytest.approx(first.std_log, rel=5e-3)
 
 
 def test_what_a_user_sees_is_in_the_frame_of_the_poses(finished: Path, moved: tuple[Path, float, float]) -> None:
