@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from rtgs.records.metres import NORMAL_95, Metres, MetresSource
 
@@ -53,7 +53,7 @@ def _chance(sources: Sequence[MetresSource]) -> float:
         return 1.0
     mean, _ = _weighted(sources)
     apart = sum(((math.log(s.sfm_per_metre) - mean) / s.std_log) ** 2 for s in sources)
-    return float(chi2.sf(apart, len(sources) - 1))
+    return float(chdtrc(len(sources) - 1, apart))
 
 
 def _farthest(sources: Sequence[MetresSource]) -> MetresSource:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from rtgs.maths.geometry import Sim3, nearest_rotation, rotation_from_axis_angle
 from rtgs.records.metres import NORMAL_95
@@ -156,7 +156,7 @@ def _with_uncertainty(to_from: Sim3, points: Array, targets: Array, std: Array, 
 
 def _few(n: int) -> float:
     """By how much the noise of so few positions, known from themselves alone, widens a 95 % interval."""
-    return float(student.ppf(0.975, max(2 * n - _FREE_HORIZONTAL, 1))) / NORMAL_95
+    return float(stdtrit(max(2 * n - _FREE_HORIZONTAL, 1), 0.975)) / NORMAL_95
 
 
 def _lasting(residual: Array) -> float:

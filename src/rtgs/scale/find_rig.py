@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 from scipy.ndimage import minimum_filter
 
 from rtgs.config import ScaleConfig
@@ -46,7 +46,7 @@ _SAME_DEG, _SAME_ZOOM = 1.0, 0.02  # two candidates that have come to the same p
 _HESSIAN_PIXELS = 0.5
 _ASIDE_PIXELS = 8.0  # of the size of the search: there the edges must agree less
 _HOPELESS = 1.0  # standard deviation of ln of the baseline's length: its direction is not told either
-_NO_BASELINE = float(stats.chi2.ppf(0.997, 3))  # of a translation's squared length in standard deviations, where there is none
+_NO_BASELINE = float(special.chdtri(3, 1 - 0.997))  # of a translation's squared length in standard deviations, where there is none
 _ALIKE = 1e-5  # of the curvatures: over a plane, shift and turn are the same but for rounding
 _CENTRE_STD = 0.01  # of the image's width: how far a principal point lies from the middle
 _ROTATION_PRIOR = 1 / math.sqrt(3)  # of the reach: an even distribution

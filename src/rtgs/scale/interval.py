@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from rtgs.scale.bracket import Bracket
 from rtgs.scale.calibration import calibration_std_log
@@ -19,7 +19,7 @@ WIDEST = 0.5  # half-width of a 95 % interval in ln s, from which on a number wo
 MODEL_PIXELS = 0.05
 """Edges of a render lie beside those of the photograph, by about this much in many frames alike (`benchmarks/scale_coverage.py`)."""
 
-_MISFIT_WEIGHT = float(stats.t.ppf(0.975, 2) / stats.norm.ppf(0.975))  # 2.2: two directions tell the size of a third
+_MISFIT_WEIGHT = float(special.stdtrit(2, 0.975) / special.ndtri(0.975))  # 2.2: two directions tell the size of a third
 
 _BLUR_SHARE = 0.1  # of the blur, to which an edge is placed in it where modalities differ (chosen on `--table 2`)
 

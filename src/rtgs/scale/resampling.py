@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 RESAMPLES = 1000
 QUANTILE_95 = 1.96  # of the normal distribution: half a 95 % interval in standard deviations
@@ -35,7 +35,7 @@ def small_sample_factor(frames: int, block: int) -> float:
     blocks = frames / block
     if blocks <= 1.5:
         return math.inf
-    return math.sqrt(blocks / (blocks - 1)) * float(stats.t.ppf(0.975, blocks - 1) / stats.norm.ppf(0.975))
+    return math.sqrt(blocks / (blocks - 1)) * float(special.stdtrit(blocks - 1, 0.975) / special.ndtri(0.975))
 
 
 def resampled_minima(thetas: NDArray[np.float64], curves: NDArray[np.float64], seed: int, block: int = 1) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtgs.base.errors import RtgsError
-from rtgs.run.report.values import first_upper
+from rtgs.base.text import first_upper
 from rtgs.viewer.contents import Contents
 
 Kind = Literal["distance", "polyline", "area", "height above a plane"]

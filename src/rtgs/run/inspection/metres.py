@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import html
 
+from rtgs.base.text import first_upper
 from rtgs.metrics.scores import SCORES
 from rtgs.run.inspection.findings import amount
 from rtgs.run.inspection.inspection import Inspection
 from rtgs.run.inspection.order import differing
 from rtgs.run.inspection.pieces import card, lines, paragraph
 from rtgs.run.report.metres import source_title
-from rtgs.run.report.values import first_upper, length
+from rtgs.run.report.values import length
 
 _MOST_FAILURES = 10
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import html
 
+from rtgs.base.text import first_upper
 from rtgs.records.metres import Metres, MetresSource
 from rtgs.run.report.pieces import section, wide
 from rtgs.run.report.run_records import RunRecords
-from rtgs.run.report.values import first_upper
 
 _TITLES = {
     "baseline": "Baseline",

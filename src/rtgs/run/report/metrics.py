@@ -6,11 +6,12 @@ import html
 import shlex
 from collections.abc import Mapping
 
+from rtgs.base.text import first_upper
 from rtgs.evaluation.records import Evaluation
 from rtgs.metrics.scores import SCORES
 from rtgs.run.report.pieces import missing, section, wide
 from rtgs.run.report.run_records import RunRecords
-from rtgs.run.report.values import duration, first_upper, metric, signed_metric
+from rtgs.run.report.values import duration, metric, signed_metric
 from rtgs.run.stages import TITLES
 
 _MODELS = {"rgb": "RGB", "thermal": "Thermal", "thermal_naive": "Thermal, scale ignored (s\u00a0=\u00a01)"}

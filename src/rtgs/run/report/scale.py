@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import html
 
+from rtgs.base.text import first_upper
 from rtgs.run.report.charts import history_chart, local_chart, scan_chart
 from rtgs.run.report.pieces import facts, missing, section, wide
 from rtgs.run.report.run_records import RunRecords
-from rtgs.run.report.values import first_upper, minus
+from rtgs.run.report.values import minus
 from rtgs.scale import ScaleEstimate
 from rtgs.scale.records import FoundRig, Freedom, Refinement
 

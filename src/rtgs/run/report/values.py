@@ -24,11 +24,6 @@ def minus(number: str) -> str:
     return number.replace("-", "−")
 
 
-def first_upper(sentence: str) -> str:
-    """With a capital first letter."""
-    return sentence[:1].upper() + sentence[1:]
-
-
 def size(width_height: tuple[int, int]) -> str:
     """ "640 × 512 px"."""
     return f"{width_height[0]} × {width_height[1]} px"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import html
 
+from rtgs.base.text import first_upper
 from rtgs.run.report.run_records import RunRecords
-from rtgs.run.report.values import first_upper, length
+from rtgs.run.report.values import length
 
 _STATUS = {
     "ok": ("good", "Scale found"),
