@@ -27,7 +27,7 @@ def write_spots(folder: Path, spots: SpotList = SPOTS) -> Path:
     folder.mkdir(parents=True)
     write_json(folder / "spots.json", spots)
     for number in range(1, len(spots.spots) + 1):
-        save_png(folder / "spots" / f"{number:03d}.png", np.full((40, 90, 3), 40 * number, np.uint8))
+        save_png(folder / "spots" / f"{number:03d}.png", np.full((40, 90, 3), 40 * number % 256, np.uint8))
     return folder
 
 

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+from tests.helpers.inspection_pages import write_spots
 
 from rtgs.base.json_records import write_json
 from rtgs.config import DensifyConfig, RgbConfig, RunConfig
@@ -85,7 +86,15 @@ def evaluation() -> Evaluation:
         thermal=ModelScores(psnr=31.84, ssim=0.941, mae_c=0.58, per_frame=frames),
         thermal_naive=ModelScores(psnr=29.44, ssim=0.922, mae_c=0.97, per_frame=frames),
         temperature_range_c=(18.0, 41.5),
-        timings_s={"sfm": 64.0, "rgb": 812.4, "scale": 41.2, "thermal": 18.8, "thermal_naive": 18.1, "evaluate": 9.3},
+        timings_s={
+            "sfm": 64.0,
+            "rgb": 812.4,
+            "scale": 41.2,
+            "thermal": 18.8,
+            "thermal_naive": 18.1,
+            "spots": 2.0,
+            "evaluate": 9.3,
+        },
     )
 
 
@@ -98,6 +107,7 @@ def make_run(run: Path, *, renders: bool = False) -> Path:
     evaluation().write(run / "metrics.json")
     if renders:
         _draw(run / "renders")
+        write_spots(run / "spots")
     return run
 
 

@@ -82,7 +82,7 @@ def test_files_that_are_not_read_do_not_count(mine: Path, tmp_path: Path) -> Non
 def test_a_setting_counts_from_its_stage_on(mine: Path) -> None:
     config = RunConfig()
     other = replace(config, thermal=replace(config.thermal, steps=7))
-    assert changed(prints(mine, config), prints(mine, other)) == ["thermal", "evaluate"]
+    assert changed(prints(mine, config), prints(mine, other)) == ["thermal", "spots", "evaluate"]
 
 
 def test_another_emissivity_changes_no_pose_and_no_rgb_model(mine: Path) -> None:
@@ -90,7 +90,7 @@ def test_another_emissivity_changes_no_pose_and_no_rgb_model(mine: Path) -> None
     rig["thermal"]["celsius_offset"] += 1.0
     (mine / "rig.json").write_text(json.dumps(rig))
     after = prints(mine)
-    assert changed(before, after) == ["scale", "thermal", "evaluate"]
+    assert changed(before, after) == ["scale", "thermal", "spots", "evaluate"]
     rig["thermal"]["fl_x"] += 1.0
     (mine / "rig.json").write_text(json.dumps(rig))
     assert changed(after, prints(mine)) == NAMES
@@ -101,7 +101,7 @@ def test_an_imported_model_counts_by_its_content(mine: Path, finished: Path, tmp
     for name in ("a.ply", "b.ply"):
         shutil.copy(finished / "rgb.ply", tmp_path / name)
     without, a, b = (prints(mine, replace(RunConfig(), rgb_ply=ply)) for ply in (None, tmp_path / "a.ply", tmp_path / "b.ply"))
-    assert a == b and changed(without, a) == ["rgb", "scale", "thermal", "evaluate"]
+    assert a == b and changed(without, a) == ["rgb", "scale", "thermal", "spots", "evaluate"]
     (tmp_path / "a.ply").unlink()
     with pytest.raises(RtgsError, match=r"a\.ply: the RGB model that this run imports has gone"):
         prints(mine, replace(RunConfig(), rgb_ply=tmp_path / "a.ply"))

@@ -125,7 +125,7 @@ def test_a_second_call_does_nothing(capture: Path, run: Path) -> None:
 def test_a_scale_setting_redoes_the_scale_and_what_follows(capture: Path, run: Path) -> None:
     before = state(run)
     recorder, code = recorded(["run", str(capture), f"--out={run}", "--scale.steps", "6"])
-    assert code == 0 and recorder.works == ["scale", "thermal", "thermal_naive", "evaluate"]
+    assert code == 0 and recorder.works == ["scale", "thermal", "thermal_naive", "spots", "evaluate"]
     after = state(run)
     for name in ("rgb.ply", "rgb.json", "capture_summary.json"):
         assert after[name] == before[name], name
@@ -167,7 +167,7 @@ def test_the_refined_rig_is_what_later_stages_see(capture: Path, run: Path) -> N
             pipeline.run("scale", again=True)
             pipeline.run()
     assert len(seen["scale"]) == 2 and all(same(rig, calibrated) for rig in seen["scale"])
-    for name in ("thermal", "evaluate"):
+    for name in ("thermal", "spots", "evaluate"):
         assert len(seen[name]) == 2 and all(same(rig, refined) for rig in seen[name]), name
     assert same(folder.read_scene(load_capture(capture)).rig, refined)  # what render and export start from
     assert list(pycolmap.Reconstruction(str(run / "scene")).cameras[2].params[:2]) == [50.0, 51.0]
@@ -182,7 +182,7 @@ def test_old_results_do_not_stay_beside_a_new_scale(run: Path) -> None:
     assert code == 0
     settings = RunFolder(run).read_config().config.scale
     assert settings.steps == 6 and settings.scan_samples == 25  # the others stay as they were
-    for name in ("thermal.ply", "thermal.json", "thermal_naive.ply", "metrics.json", "renders"):
+    for name in ("thermal.ply", "thermal.json", "thermal_naive.ply", "spots", "metrics.json", "renders"):
         assert not (run / name).exists(), name
     for command in ("export", "render"):
         _, code = recorded([command, str(run), "--out", str(run.parent / command)])
@@ -209,7 +209,7 @@ def test_stage_commands_in_order_equal_run(capture: Path, finished: Path, tmp_pa
         (["rgb", out, *flags(RGB_FLAGS)], ["rgb"]),
         (["scale", out, *flags(SCALE_FLAGS)], ["scale"]),
         (["thermal", out, *flags(THERMAL_FLAGS)], ["thermal", "thermal_naive"]),
-        (["eval", out], ["evaluate"]),
+        (["eval", out], ["spots", "evaluate"]),
     ]
     for arguments, work in commands:
         recorder, code = recorded(arguments)
@@ -261,6 +261,7 @@ def test_a_relative_capture_speaks_of_counts(capture: Path, finished: Path, tmp_
     assert code == 0 and any("counts" in line for line in recorder.lines) and not any("°C" in line for line in recorder.lines)
     metrics = strict_json(out / "metrics.json")
     assert "mae_counts" in metrics["thermal"] and "mae_c" not in metrics["thermal"]
+    assert not (out / "spots").exists() and any("spots: none listed" in line for line in recorder.lines)
     assert "count_range" in metrics and "temperature_range_c" not in metrics
     assert recorded(["export", str(out), "--out", str(tmp_path / "export")])[1] == 0
     for ply in (out / "thermal.ply", tmp_path / "export" / "thermal.ply"):

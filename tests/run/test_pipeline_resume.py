@@ -32,7 +32,8 @@ def leave_rubbish(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stage", "at"), [("sfm", 0), ("rgb", 25), ("rgb", 1), ("scale", 60), ("thermal", 5), ("thermal_naive", 5), ("evaluate", 1)]
+    ("stage", "at"),
+    [("sfm", 0), ("rgb", 25), ("rgb", 1), ("scale", 60), ("thermal", 5), ("thermal_naive", 5), ("spots", 3), ("evaluate", 1)],
 )
 def test_a_run_stopped_anywhere_resumes_to_the_same_result(
     capture: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], stage: str, at: int

@@ -104,7 +104,7 @@ def test_a_run_of_an_earlier_version_goes_on_in_the_given_frame(run: Path) -> No
     folder = RunFolder(run)
     assert folder.given_from_world.factor == 1.0
     assert torch.equal(folder.read_rgb().gaussians.means, read_ply(run / "rgb.ply").means)
-    assert complete_stages(run) == ["sfm", "rgb", "scale", "thermal", "evaluate"]
+    assert complete_stages(run) == ["sfm", "rgb", "scale", "thermal", "spots", "evaluate"]
     before = strict_json(run / "metrics.json")
     main(["eval", str(run)])
     for kind in ("rgb", "thermal"):

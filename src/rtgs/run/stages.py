@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rtgs.run.content import Content
     from rtgs.run.job import Job
 
-StageName: TypeAlias = Literal["sfm", "rgb", "scale", "thermal", "evaluate"]
+StageName: TypeAlias = Literal["sfm", "rgb", "scale", "thermal", "spots", "evaluate"]
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,18 @@ def _fit_temperatures(job: Job) -> None:
     job.say(f"thermal: {len(model.gaussians):,} Gaussians with a temperature")
 
 
+def _list_spots(job: Job) -> None:
+    from rtgs.config import SpotsConfig
+    from rtgs.run.spots import list_spots
+
+    with job.work("spots", TITLES["spots"]) as progress:
+        if job.scene.capture.radiometry.unit == "counts":  # what a spot is in °C is noise in counts
+            job.say("spots: none listed, the capture has no temperatures; `rtgs spots --excess` takes counts")
+            return
+        found = list_spots(job.folder, job.scene, job.results.path / "spots", SpotsConfig(), progress=progress)
+    job.say(f"spots: {len(found.spots)} ({found.criterion})")
+
+
 def _score_held_out_views(job: Job) -> None:
     from rtgs.evaluation.held_out import evaluate
     from rtgs.metrics.lpips import available
@@ -201,6 +213,16 @@ STAGES: tuple[Stage, ...] = (
         may_make=("thermal_pattern.tiff", "thermal_naive_pattern.tiff"),
         sees_refined_rig=True,
         parts={"thermal_naive": "control: thermal model at scale 1"},
+    ),
+    Stage(
+        name="spots",
+        title="hot and cold spots",
+        settings=lambda config: None,
+        inputs=lambda content: None,
+        work=_list_spots,
+        makes=(),
+        may_make=("spots",),
+        sees_refined_rig=True,
     ),
     Stage(
         name="evaluate",

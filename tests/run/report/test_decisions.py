@@ -28,7 +28,7 @@ def test_every_decision_is_a_row_with_its_numbers(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     write_json(run / "thermal.json", thermal_file(*DECISIONS))
     page = page_of(run)
-    assert page.headings[5:8] == ["Metrics", "Decisions", "Time taken"]
+    assert page.headings[6:9] == ["Metrics", "Decisions", "Time taken"]
     drift = "Drift of the sensor offset Offsets lower the error within validation frames. 0.500 → 0.410 °C (−18.0 %) 2 %"
     assert drift in page.text
     assert "a <new> rule <none> The user chose it. not measured –" in page.text  # escaped, and nothing invented

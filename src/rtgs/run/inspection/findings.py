@@ -8,27 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from rtgs.base.errors import RtgsError
-from rtgs.records.radiometry import Unit
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.inspection.facts import SeverityClass
 from rtgs.run.inspection.inspection import Inspection
 from rtgs.run.inspection.pieces import card, lines, paragraph, picture
 from rtgs.run.report.pieces import read_picture
-from rtgs.run.report.values import length, minus
+from rtgs.run.report.values import amount, area, length, minus
 
 _PICTURE_PX = 760
-
-
-def amount(value: float, unit: Unit, decimals: int = 1, *, difference: bool = False) -> str:
-    """A temperature, or a difference of two with its sign: "21.3 °C", "+4.2 K"."""
-    shown = "K" if difference and unit == "°C" else unit
-    return minus(f"{value:{'+' if difference else ''}.{decimals}f}") + f"\u00a0{shown}"
-
-
-def area(square_metres: float) -> str:
-    """With three digits, in m² or cm²."""
-    value, unit = (square_metres, "m²") if square_metres >= 1 else (1e4 * square_metres, "cm²")
-    return f"{float(f'{value:.3g}'):g}\u00a0{unit}"
 
 
 def findings_section(report: Inspection) -> str:

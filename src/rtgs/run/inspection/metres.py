@@ -6,12 +6,11 @@ import html
 
 from rtgs.base.text import first_upper
 from rtgs.metrics.scores import SCORES
-from rtgs.run.inspection.findings import amount
 from rtgs.run.inspection.inspection import Inspection
 from rtgs.run.inspection.order import differing
 from rtgs.run.inspection.pieces import card, lines, paragraph
 from rtgs.run.report.metres import source_title
-from rtgs.run.report.values import length
+from rtgs.run.report.values import amount, length
 
 _MOST_FAILURES = 10
 

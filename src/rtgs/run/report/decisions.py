@@ -33,7 +33,7 @@ def decisions_section(run: RunRecords) -> str:
         "and without what is decided about, and compares the mean error on the other ones, the validation frames. The background of "
         "an imported RGB model is fitted to training photographs. Held-out frames are not used.</p>"
     )
-    table = f'<table class="decisions"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
+    table = f'<table class="decisions stacked"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
     return section("Decisions", f'{note}<div class="wide">{table}</div>')
 
 

@@ -14,6 +14,7 @@ from rtgs.run.report.metres import metres_section
 from rtgs.run.report.metrics import metrics_section, timings_section
 from rtgs.run.report.run_records import RunRecords
 from rtgs.run.report.scale import scale_section
+from rtgs.run.report.spots import spots_section
 from rtgs.run.report.verdict import page_title, verdict_header
 from rtgs.run.report.views import overlay_section, rgb_section, thermal_section
 
@@ -25,6 +26,7 @@ _SECTIONS = (
     overlay_section,
     rgb_section,
     thermal_section,
+    spots_section,
     metrics_section,
     decisions_section,
     timings_section,
@@ -103,10 +105,11 @@ th, td { text-align: left; padding: 6px 18px 6px 0; border-bottom: 1px solid var
 table.numbers { font-variant-numeric: tabular-nums; }
 table.numbers td, thead th { text-align: right; padding-left: 10px; white-space: nowrap; }
 table.timings th { white-space: nowrap; }
-table.decisions th { font-weight: 600; white-space: nowrap; } table.decisions td { min-width: 7rem; }
+table.stacked th { font-weight: 600; white-space: nowrap; } table.decisions td { min-width: 7rem; }
 table.decisions td:nth-child(3) { min-width: 18rem; }
-table.decisions thead th { text-align: left; padding-left: 0; font-weight: 400; color: var(--soft); }
+table.stacked thead th { white-space: normal; text-align: left; padding-left: 0; font-weight: 400; color: var(--soft); }
 table + p, .wide + p { margin-top: 14px; } section > :last-child { margin-bottom: 0; }
+table.spots { font-variant-numeric: tabular-nums; }
 tr.total th, tr.total td { font-weight: 600; border-bottom: 0; }
 table.numbers td.bars { width: 100%; min-width: 120px; text-align: left; padding-right: 0; vertical-align: middle; }
 .bar { display: block; height: 10px; min-width: 2px; border-radius: 5px; background: var(--accent); }
@@ -128,8 +131,8 @@ code { font-size: 0.88em; background: var(--page); border: 1px solid var(--line)
   table.numbers { font-size: 0.82rem; } table.numbers :is(th, td) { padding-left: 8px; padding-right: 4px; }
   table.numbers :is(tr > :first-child) { padding-left: 0; } table.numbers thead th { white-space: normal; }
   table.numbers td.bars { display: none; } dl { gap: 8px 12px; }
-  table.decisions thead { display: none; } table.decisions tr, table.decisions th, table.decisions td { display: block; }
-  table.decisions tr { border-bottom: 1px solid var(--line); padding: 8px 0; }
-  table.decisions tr :is(th, td) { border: 0; padding: 1px 0; min-width: 0; }
-  table.decisions td::before { content: attr(data-column) ": "; color: var(--soft); } }
+  table.stacked thead { display: none; } table.stacked tr, table.stacked th, table.stacked td { display: block; }
+  table.stacked tr { border-bottom: 1px solid var(--line); padding: 8px 0; }
+  table.stacked tr :is(th, td) { border: 0; padding: 1px 0; min-width: 0; }
+  table.stacked td::before { content: attr(data-column) ": "; color: var(--soft); } }
 """

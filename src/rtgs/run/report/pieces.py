@@ -56,8 +56,8 @@ def picture(run: RunRecords, folder: str, name: str, what: str) -> Path:
     return run.path / "renders" / folder / f"{name}.{what}.png"
 
 
-def read_picture(path: Path) -> Image.Image:
-    """A PNG file in RGB.
+def read_picture(path: Path, made_by: str = "rtgs eval") -> Image.Image:
+    """A PNG file in RGB. made_by: the command that draws it again.
 
     Raises:
         RtgsError: the file is not a picture.
@@ -69,22 +69,23 @@ def read_picture(path: Path) -> Image.Image:
             return opened.convert("RGB")
     except Exception as error:  # Pillow raises a dozen kinds for a damaged file
         raise RtgsError(
-            f"{path}: not a picture that can be read ({error!s:.200}). Remove it; `rtgs eval` draws it again."
+            f"{path}: not a picture that can be read ({error!s:.200}). Remove it; `{made_by}` draws it again."
         ) from error
 
 
-def figure(path: Path, caption: str, *, sharp: bool = False) -> str:
+def figure(path: Path, caption: str, *, sharp: bool = False, made_by: str = "rtgs eval") -> str:
     """The picture inside the page; "" where there is no such file.
 
     Args:
         sharp: keep thin coloured lines, which JPEG would blur.
+        made_by: the command that draws the picture.
 
     Raises:
         RtgsError: the file is not a picture.
     """
     if not path.is_file():
         return ""
-    image = read_picture(path)
+    image = read_picture(path, made_by)
     if image.width > PICTURE_WIDTH_PX:
         height = max(1, round(image.height * PICTURE_WIDTH_PX / image.width))
         image = image.resize((PICTURE_WIDTH_PX, height), Image.Resampling.LANCZOS)

@@ -13,6 +13,7 @@ from rtgs.config import RunConfig
 from rtgs.evaluation.records import Evaluation
 from rtgs.records.decision import Decision
 from rtgs.records.radiometry import Unit
+from rtgs.records.spots import SpotList
 from rtgs.run.config_file import read_config
 from rtgs.run.folder import RunFolder
 from rtgs.run.model_files import RgbFile, ThermalFile
@@ -29,6 +30,7 @@ class RunRecords:
     Attributes:
         path: the run folder.
         capture: the capture's folder, from `config.json`. settings, version: likewise.
+        spots: the list of hot and cold spots, of `rtgs run` or of a later `rtgs spots`.
         decisions: what the stages decided by themselves, from `rgb.json` and `thermal.json`.
         older: stages whose results are of earlier settings or of an earlier capture, and are being made again.
     """
@@ -40,6 +42,7 @@ class RunRecords:
     summary: CaptureSummary | None
     scale: ScaleEstimate | None
     evaluation: Evaluation | None
+    spots: SpotList | None
     decisions: tuple[Decision, ...]
     older: tuple[str, ...] = ()
 
@@ -61,6 +64,7 @@ class RunRecords:
             summary=_optional(run / "capture_summary.json", CaptureSummary.read),
             scale=_optional(run / "scale.json", lambda path: read_record(ScaleEstimate, path)),
             evaluation=_optional(run / "metrics.json", Evaluation.read),
+            spots=_optional(run / "spots" / "spots.json", lambda path: read_record(SpotList, path)),
             decisions=tuple(d for file in (rgb, thermal) if file for d in file.decisions),
             older=_being_made_again(RunFolder(run)),
         )

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rtgs.metrics.scores import SCORES
+from rtgs.records.radiometry import Unit
 
 
 def metric(name: str, value: float | None) -> str:
@@ -33,6 +34,18 @@ def length(metres: float) -> str:
     """With three digits, in m, cm or mm."""
     value, unit = (metres, "m") if metres >= 1 else (100 * metres, "cm") if metres >= 0.01 else (1000 * metres, "mm")
     return f"{value:.3g}\u00a0{unit}"
+
+
+def area(square_metres: float) -> str:
+    """With three digits, in m² or cm²."""
+    value, unit = (square_metres, "m²") if square_metres >= 1 else (1e4 * square_metres, "cm²")
+    return f"{float(f'{value:.3g}'):g}\u00a0{unit}"
+
+
+def amount(value: float, unit: Unit, decimals: int = 1, *, difference: bool = False) -> str:
+    """A temperature, or a difference of two with its sign: "21.3 °C", "+4.2 K"."""
+    shown = "K" if difference and unit == "°C" else unit
+    return minus(f"{value:{'+' if difference else ''}.{decimals}f}") + f"\u00a0{shown}"
 
 
 def duration(seconds: float) -> str:
