@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,9 +47,14 @@ class Board:
                 found.append(distance.argmin(axis=1))
         return tuple(found)
 
-    def find(self, picture: NDArray[np.float32]) -> Sighting | str:
-        """Find the board in a picture `[h, w]` of any unit, dark or bright squares; or say in words why it cannot be used."""
-        return _FINDERS[self.config.board](self.config, picture)
+    def find(self, picture: NDArray[np.float32], *, explain: bool = True) -> Sighting | str:
+        """Find the board in a picture `[h, w]` of any unit, dark or bright squares; or say in words why it cannot be used.
+
+        explain: look closer at a picture without the board, which takes twice as long as the search.
+        """
+        if self.config.board == "checkerboard":
+            return checkerboard.find(picture, *self.config.size, explain=explain)
+        return (_find_charuco if self.config.board == "charuco" else _find_circles)(self.config, picture)
 
 
 def make_board(config: BoardConfig) -> Board:
@@ -99,14 +103,3 @@ def _find_circles(config: BoardConfig, picture: NDArray[np.float32]) -> Sighting
             if found:
                 return Sighting(np.arange(columns * rows), centres.reshape(-1, 2).astype(np.float64))
     return f"no grid of {columns}×{rows} circles was found: the board is missing, cut or blurred"
-
-
-def _find_checkerboard(config: BoardConfig, picture: NDArray[np.float32]) -> Sighting | str:
-    return checkerboard.find(picture, *config.size)
-
-
-_FINDERS: dict[str, Callable[[BoardConfig, NDArray[np.float32]], Sighting | str]] = {
-    "checkerboard": _find_checkerboard,
-    "charuco": _find_charuco,
-    "circles": _find_circles,
-}

@@ -38,16 +38,19 @@ class Sighting:
     pixels: NDArray[np.float64]
 
 
-def find(picture: NDArray[np.float32], columns: int, rows: int) -> Sighting | str:
+def find(picture: NDArray[np.float32], columns: int, rows: int, *, explain: bool = True) -> Sighting | str:
     """The inner corners row by row, or in words why the picture cannot be used.
 
     Args:
         picture: `[h, w]`, any unit.
         columns, rows: of inner corners.
+        explain: where there is no board, look whether it is a part of one.
     """
     rough = _rough(picture, columns, rows)
     if rough is None:
-        return _reason(picture, columns, rows)
+        return (
+            _part(picture, columns, rows) if explain else ""
+        ) or f"no checkerboard of {columns}×{rows} inner corners was found"
     exact = _exact(picture, rough, columns, rows)
     if exact is None:
         return "the board was found, but its corners cannot be located: it is blurred, cut, or partly hidden"
@@ -120,8 +123,8 @@ def _exact(picture: NDArray[np.float32], rough: NDArray[np.float64], columns: in
     return np.asarray(cv2.perspectiveTransform(corners[:, None], back)[:, 0], dtype=np.float64)
 
 
-def _reason(picture: NDArray[np.float32], columns: int, rows: int) -> str:
-    """Why there is no board: it is cut where fewer of its columns or rows can be found."""
+def _part(picture: NDArray[np.float32], columns: int, rows: int) -> str:
+    """That a part of the board can be seen: fewer of its columns or rows. Empty where there is none."""
     smaller = [(columns - c, rows - r) for c in range(3) for r in range(3) if c + r and min(columns - c, rows - r) >= _LEAST]
     factor = min(1.0, _SIDES[0] / max(picture.shape))
     small = np.asarray(cv2.resize(_stretch(picture), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -131,4 +134,4 @@ def _reason(picture: NDArray[np.float32], columns: int, rows: int) -> str:
                 f"{size[0]}×{size[1]} of the {columns}×{rows} inner corners can be seen: the board is cut or partly hidden, or it has "
                 "another number of squares"
             )
-    return f"no checkerboard of {columns}×{rows} inner corners was found"
+    return ""

@@ -46,7 +46,9 @@ _SAME_DEG, _SAME_ZOOM = 1.0, 0.02  # two candidates that have come to the same p
 _HESSIAN_PIXELS = 0.5
 _ASIDE_PIXELS = 8.0  # of the size of the search: there the edges must agree less
 _HOPELESS = 1.0  # standard deviation of ln of the baseline's length: its direction is not told either
-_NO_BASELINE = float(special.chdtri(3, 1 - 0.997))  # of a translation's squared length in standard deviations, where there is none
+_NO_BASELINE = float(
+    special.chdtri(3, 1 - 0.997)
+)  # of a translation's squared length in standard deviations, where there is none
 _ALIKE = 1e-5  # of the curvatures: over a plane, shift and turn are the same but for rounding
 _CENTRE_STD = 0.01  # of the image's width: how far a principal point lies from the middle
 _ROTATION_PRIOR = 1 / math.sqrt(3)  # of the reach: an even distribution
