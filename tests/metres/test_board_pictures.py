@@ -62,11 +62,11 @@ def metres_of(root: Path, targets: Mapping[Any, Drawing], said: dict[str, Any]) 
                 height, width = drawing.shape
                 corners = np.array([(0, 0), (width, 0), (width, height), (0, height)], dtype=np.float64)
                 middle = np.array([width / 2 + (k - (len(targets) - 1) / 2) * 1.1 * width, height / 2])
-                hung = np.concatenate([(corners - middle) * -dot_m * -S, np.zeros((4, 1))], axis=1) @ facing.T
+                hung = np.concatenate([(corners - middle) * dot_m * S, np.zeros((4, 1))], axis=1) @ facing.T
                 seen = CAMERA.project(pose.inverse().apply(hung + given.points.xyz.mean(axis=0)))
                 # Borders of dots and samples have whole numbers here; OpenCV gives whole numbers to their centres.
-                places = [(c - 0.5).astype(np.float32) for c in (corners, SAMPLES * seen)]
-                turned = cv2.getPerspectiveTransform(*places)
+                dots, samples = (corners - 0.5).astype(np.float32), (SAMPLES * seen - 0.5).astype(np.float32)
+                turned = cv2.getPerspectiveTransform(dots, samples)
                 inside = cv2.warpPerspective(np.ones_like(drawing), turned, size, flags=cv2.INTER_NEAREST) > 0
                 photograph[inside] = cv2.warpPerspective(drawing, turned, size, borderMode=cv2.BORDER_REPLICATE)[inside]
         small = cv2.GaussianBlur(
