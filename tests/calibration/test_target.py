@@ -18,6 +18,7 @@ from rtgs.calibration.checkerboard import find
 from rtgs.config import BoardConfig
 from rtgs.images.pictures import save_png, save_tiff
 from rtgs.io.rig import read_rig
+from rtgs.maths.geometry import axis_angle_from_rotation, rotation_from_axis_angle
 
 REAL = Path(os.environ.get("RTGS_DATA", Path(__file__).parents[3] / "shared" / "data")) / "calibration_board"
 needs_board = pytest.mark.skipif(
@@ -144,47 +145,61 @@ def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path) -> None:
         calibrate_target(tmp_path, BoardConfig("6x5", 0.1), tmp_path, lambda *_: None)
 
 
-def drawn_pairs(seed: int, n: int) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """Values of both cameras, and for n pairs the homographies from squares of the board to pixels; every board is seen whole."""
+def straight(lens: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """`[n, 2]`, where a pinhole camera with the same matrix has what this lens (`[8]`) has at `pixels`."""
+    matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+    enough = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
+    points = pixels.reshape(-1, 1, 2).astype(np.float64)
+    return cv2.undistortPoints(points, matrix, lens[4:], None, None, matrix, enough)[:, 0]
+
+
+def drawn_pairs(
+    seed: int, n: int, distorted: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+    """Values of both cameras and of the rig; and for n pairs the homographies from squares of the board to pixels of pinhole cameras.
+
+    Every board is seen whole, its border included.
+    """
     rng = np.random.default_rng(seed)
-    rgb, thermal, rig = draw_truth(rng, distorted=False)
-    outline, squares = (
-        np.array([[[-1.0, -1.0]], [[9, -1]], [[9, 6]], [[-1, 6]]]),
-        make_board(BOARD).points[:, :2] / BOARD.square_m,
-    )
+    rgb, thermal, rig = draw_truth(rng, distorted=distorted)
+    outline = np.array([[[-1.5, -1.5]], [[9.5, -1.5]], [[9.5, 6.5]], [[-1.5, 6.5]]])
+    squares = make_board(BOARD).points[:, :2] / BOARD.square_m
     pairs: list[tuple[np.ndarray, np.ndarray]] = []
     while len(pairs) < n:
         pair = draw_pairs(rng, rgb, thermal, rig, 1, noise=0.0)[0]
-        both = [cv2.findHomography(squares, v.pixels)[0] for v in (pair.rgb, pair.thermal)]
+        seen = zip((rgb, thermal), (pair.rgb, pair.thermal), strict=True)
+        both = [cv2.findHomography(squares, straight(lens, view.pixels))[0] for lens, view in seen]
         ends = [cv2.perspectiveTransform(outline, h)[:, 0] for h in both]
         if all((e > 0).all() and (e < np.array(s)).all() for e, s in zip(ends, SIZES, strict=True)):
             pairs.append((both[0], both[1]))
-    return rgb, thermal, pairs
+    return rgb, thermal, rig, pairs
 
 
-def seen_by(picture_from_squares: np.ndarray, size: tuple[int, int], dark: float, bright: float) -> np.ndarray:
+def seen_by(lens: np.ndarray, pinhole_from_squares: np.ndarray, size: tuple[int, int], dark: float, bright: float) -> np.ndarray:
     """The board of 9×6 inner corners with a bright border, `[height, width]`, with a little blur and noise."""
     side = 40
     row, column = np.mgrid[0 : 9 * side, 0 : 12 * side] // side
     flat = np.where((row + column) % 2 == 1, dark, bright).astype(np.float32)
     flat[:side] = flat[-side:] = flat[:, :side] = flat[:, -side:] = bright
-    # From drawing to squares, and from pixels with centres at halves to pixels with centres at integers.
-    squares_from_flat = np.array([[1 / side, 0, 0.5 / side - 2], [0, 1 / side, 0.5 / side - 2], [0, 0, 1]])
-    to_integers = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])
-    seen = cv2.warpPerspective(
-        flat, to_integers @ picture_from_squares @ squares_from_flat, size, flags=cv2.INTER_LINEAR, borderValue=bright
-    )
+    # From squares to the drawing, whose dots have their centres at integers, as the pixels have.
+    flat_from_squares = np.array([[side, 0, 2 * side - 0.5], [0, side, 2 * side - 0.5], [0, 0, 1]])
+    y, x = np.mgrid[0 : size[1], 0 : size[0]]
+    places = straight(lens, np.stack([x, y], axis=-1))
+    dots = cv2.perspectiveTransform(places[:, None], flat_from_squares @ np.linalg.inv(pinhole_from_squares))
+    at = dots.reshape(size[1], size[0], 2).astype(np.float32)
+    seen = cv2.remap(flat, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=bright)
     noise = np.random.default_rng(0).normal(0, 0.01 * (bright - dark), seen.shape)
     return cv2.GaussianBlur(seen, (0, 0), 0.8) + noise
 
 
 @pytest.mark.thorough
-def test_a_folder_gives_the_rig_and_names_what_it_left_out(tmp_path: Path) -> None:
-    rgb, thermal, pairs = drawn_pairs(seed=3, n=9)
-    names = ["cut", "missing", *(f"good{i}" for i in range(7))]
+@pytest.mark.parametrize(("seed", "distorted"), [(3, False), (5, True)])
+def test_a_folder_gives_the_rig_and_names_what_it_left_out(tmp_path: Path, seed: int, distorted: bool) -> None:
+    rgb, thermal, rig_values, pairs = drawn_pairs(seed, 12, distorted)
+    names = ["cut", "missing", *(f"good{i}" for i in range(10))]
     for name, both in zip(names, pairs, strict=True):
-        visible = seen_by(both[0], SIZES[0], 30, 220)
-        hot = np.full(SIZES[1][::-1], 30000.0) if name == "missing" else seen_by(both[1], SIZES[1], 29000, 30000)
+        visible = seen_by(rgb, both[0], SIZES[0], 30, 220)
+        hot = np.full(SIZES[1][::-1], 30000.0) if name == "missing" else seen_by(thermal, both[1], SIZES[1], 29000, 30000)
         if name == "cut":
             visible[:, round(float(cv2.perspectiveTransform(np.array([[[7.5, 3.0]]]), both[0])[0, 0, 0])) :] = 220
         save_png(tmp_path / "rgb" / f"{name}.png", np.repeat(visible.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2))
@@ -198,7 +213,11 @@ def test_a_folder_gives_the_rig_and_names_what_it_left_out(tmp_path: Path) -> No
     assert rejected["missing"].startswith("thermal: no checkerboard")
     assert sorted(p.name for p in found.pairs) == names[2:] and found.agreement.agree
     rig = read_rig(tmp_path / "out" / "rig.json").rig
-    assert abs(rig.rgb.fl_x / rgb[0] - 1) < 0.005 and abs(rig.thermal.fl_x / thermal[0] - 1) < 0.005
+    turn = rig.rgb_from_thermal.rotation.T @ rotation_from_axis_angle(-rig_values[:3])
+    assert abs(rig.rgb.fl_x / rgb[0] - 1) < 0.003 and abs(rig.thermal.fl_x / thermal[0] - 1) < 0.003
+    assert np.degrees(np.linalg.norm(axis_angle_from_rotation(turn))) < 0.05
+    assert abs(rig.baseline_m / np.linalg.norm(rig_values[3:]) - 1) < 0.005
+    assert abs(rig.thermal.k1 - thermal[4]) < 0.01
 
 
 @needs_board
