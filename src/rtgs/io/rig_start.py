@@ -20,7 +20,8 @@ FIELDS = ("thermal_from_rgb", "rgb_from_thermal", "rough", "baseline_m")
 def completed_thermal(path: Path, thermal: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of `thermal` with those filled in that may be left out where the rig is to be found.
 
-    The focal length is `fov_deg`'s, the principal point the middle of the image, the lens without distortion.
+    The focal length is `fov_deg`'s, or the one that is given for one of the axes, the principal point the middle of the image, the lens
+    without distortion.
 
     Raises:
         RtgsError: neither a focal length nor `fov_deg`, both, or a wrong `fov_deg`.
@@ -41,6 +42,9 @@ def completed_thermal(path: Path, thermal: Mapping[str, Any]) -> dict[str, Any]:
             f'{path}: thermal.fl_x is missing. Give the focal length in pixels, or "fov_deg", the horizontal field of view of the data '
             "sheet: the search starts from there."
         )
+    else:
+        given = data["fl_x" if "fl_x" in data else "fl_y"]
+        data = {"fl_x": given, "fl_y": given} | data
     data.pop("fov_deg", None)
     return data
 
