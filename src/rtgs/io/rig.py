@@ -31,6 +31,12 @@ from rtgs.records.radiometry import (
 from rtgs.records.rgb_camera import RgbStart
 from rtgs.records.rig import CalibrationStd, Rig
 
+MISSING = (
+    "It describes both cameras. Where they are not calibrated, the thermal camera's size and field of view are enough: "
+    '{"thermal": {"width": 640, "height": 512, "fov_deg": 45}}, with the numbers of its data sheet.'
+)
+"""What to do about a capture without `rig.json`."""
+
 _SIZE_AND_PINHOLE = ("width", "height", "fl_x", "fl_y", "cx", "cy")
 _LENS_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 _LINEAR = ("celsius_per_count", "celsius_offset")
@@ -72,7 +78,7 @@ def read_rig(path: Path, photograph: Callable[[], ImageHeader] | None = None) ->
         RtgsError: the file is missing or isn't JSON; a field is missing or has a wrong value; the transform isn't rigid; the
             baseline is zero.
     """
-    data = read_json_object(path, missing="It holds both cameras and the transform between them.")
+    data = read_json_object(path, missing=MISSING)
     warnings: list[str] = []
     rgb_start = None
     if photograph is not None and isinstance(data.get("rgb", {}), dict):

@@ -16,7 +16,7 @@ from rtgs.base.files import sha256_of
 from rtgs.base.json_records import from_json, read_json, write_json
 from rtgs.io.image_files import IMAGE_SUFFIXES
 from rtgs.io.metres_file import NAME as METRES
-from rtgs.io.rig import read_json_object, without_radiometry
+from rtgs.io.rig import MISSING, read_json_object, without_radiometry
 
 NAME = "hashes.json"
 SETTLED_S = 2.0  # a file that was changed less than this before it was read may change again within the clock's resolution
@@ -104,7 +104,7 @@ def read_content(capture: Path, rgb_ply: Path | None, hashes: Hashes) -> Content
     files = [p for folder in folders if folder.is_dir() for p in folder.iterdir() if not p.name.startswith(".")]
     files = [p for p in files if p.parent == folders[0] or p.suffix.lower() in IMAGE_SUFFIXES]
     files = sorted(p for p in (*files, capture / "transforms.json") if p.is_file())
-    cameras, radiometry = without_radiometry(read_json_object(capture / "rig.json", missing="It holds both cameras."))
+    cameras, radiometry = without_radiometry(read_json_object(capture / "rig.json", missing=MISSING))
     if rgb_ply is not None and not rgb_ply.is_file():
         raise RtgsError(f"{rgb_ply}: the RGB model that this run imports has gone. Put it back, or name another with --rgb-ply.")
     metres = capture / METRES
