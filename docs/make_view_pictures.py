@@ -44,8 +44,6 @@ def main(run: Path) -> None:
             tab.call("Page.bringToFront")
             tab.go(viewer.url)
             wait_for(lambda: "Measure" in tab.text(), "the page is there")
-            if tab.place_of("document.querySelector('.mantine-Notification-closeButton')"):
-                tab.press("document.querySelector('.mantine-Notification-closeButton')", "the notice on software graphics")
             tab.choose("Show", "Temperature")
             tab.open_tab("Measure")
             at_rest(tab)

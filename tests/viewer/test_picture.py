@@ -56,11 +56,11 @@ def test_a_missing_model_is_gray() -> None:
 
 
 def test_layouts() -> None:
-    left, right = np.zeros((4, 10, 3), np.uint8), np.full((4, 10, 3), 200, np.uint8)
-    assert beside(left, right).shape == (4, 20 + GAP_PX, 3)
+    left, right = np.zeros((4, 20, 3), np.uint8), np.full((4, 20, 3), 200, np.uint8)
+    assert beside(left, right).shape == (4, 40 + GAP_PX, 3)
     half = swept(left, right, 0.5)
-    assert (half[:, :4] == 0).all() and (half[:, 6:] == 200).all()
-    assert (swept(left, right, 0.0)[:, 2:] == 200).all() and (swept(left, right, 1.0)[:, :9] == 0).all()
+    assert (half[:, :8] == 0).all() and (half[:, 8:12] == 255).all() and (half[:, 12:] == 200).all()
+    assert (swept(left, right, 0.0)[:, 2:] == 200).all() and (swept(left, right, 1.0)[:, :18] == 0).all()
 
 
 @pytest.mark.parametrize(("width", "height"), [(100, 40), (40, 100), (33, 33), (7, 90)])

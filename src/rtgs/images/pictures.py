@@ -26,6 +26,7 @@ NO_DATA = (110, 110, 116)
 THERMAL_EDGE = (255, 64, 48)
 RENDER_EDGE = (0, 210, 255)
 COMMON_EDGE = (255, 255, 255)
+_SMOOTH_PX = 2.0  # before edges are sought: less leaves the sensor's noise as edges
 _SHORTEST_EDGE_PX = 8
 
 
@@ -175,7 +176,7 @@ def _edges(image: NDArray, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.zeros(image.shape, dtype=bool)
     middle = np.median(image[inside])  # taken off first: filtering a flat 300 K image in float32 would leave rounding as edges
     filled = np.where(np.isfinite(image), image - middle, 0.0).astype(np.float32)
-    smooth = cv2.GaussianBlur(filled, (0, 0), 1.0)
+    smooth = cv2.GaussianBlur(filled, (0, 0), _SMOOTH_PX)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     magnitude = np.hypot(gx, gy)
     # The percentile keeps the amount of ink alike from scene to scene; the mean keeps it to true peaks where most of it is flat.

@@ -9,6 +9,7 @@ import viser
 
 from rtgs.base.errors import RtgsError
 from rtgs.viewer.picture import Shade, difference_in_unit, in_unit
+from rtgs.viewer.pieces import hint, table
 from rtgs.viewer.probe import Reading, probe
 from rtgs.viewer.ruler import FEWEST, KINDS, Kind, Measured, measure
 from rtgs.viewer.session import Session
@@ -28,9 +29,9 @@ class MeasurePanel:
         self._reading: Reading | None = None
         self._tool = gui.add_dropdown("Tool", TOOLS, initial_value="probe", hint="Then click into the picture.")
         with gui.add_folder("At the click"):
-            self._text = gui.add_html(_hint("Click into the picture."))
+            self._text = gui.add_html(hint("Click into the picture."))
         with gui.add_folder("Between clicks"):
-            self._result = gui.add_html(_hint("Choose a tool: distance, polyline, area or height above a plane."))
+            self._result = gui.add_html(hint("Choose a tool: distance, polyline, area or height above a plane."))
             undo = gui.add_button("Remove the last point", icon="arrow-back-up")
             clear = gui.add_button("Remove all points", icon="trash")
         self._tool.on_update(lambda _: session.safely(self.clear))
@@ -61,10 +62,10 @@ class MeasurePanel:
         found = None if session.shown is None else session.shown.at(*place)
         if found is None:
             return
-        self._text.content = _hint("Looking …")
+        self._text.content = hint("Looking …")
         self._reading = probe(session.hub.engine, *found)
         if self._reading is None:
-            self._text.content = _hint("The model shows no surface there.")
+            self._text.content = hint("The model shows no surface there.")
             return
         self.write()
         if self._tool.value == "probe":
@@ -81,13 +82,13 @@ class MeasurePanel:
             needed = FEWEST[kind]
             if len(self._points) < needed:
                 more = needed - len(self._points)
-                self._result.content = _hint(f"{tool}: {more} more {'point' if more == 1 else 'points'}.")
+                self._result.content = hint(f"{tool}: {more} more {'point' if more == 1 else 'points'}.")
             else:
                 try:
                     result = measure(kind, np.array(self._points), self._session.contents)
                     self._result.content = measured_html(result)
                 except RtgsError as error:
-                    self._result.content = _hint(str(error))
+                    self._result.content = hint(str(error))
         self._draw(result)
 
     def _draw(self, result: Measured | None) -> None:
@@ -146,8 +147,8 @@ def reading_html(reading: Reading, session: Session) -> str:
         (f"&nbsp;&nbsp;{html.escape(p.frame)}", f"{in_unit(p.value, unit):.2f} {unit}") for p in reading.photographs[:_SHOWN]
     ]
     rows.append(("Depth", f"{reading.depth:.3f} {length}"))
-    rows.append(("Position", " ".join(f"{v:.3f}" for v in reading.position) + f" {length}"))
-    return _table(rows, "rtgs-reading")
+    rows.append(("Position", ", ".join(f"{v:.3f}" for v in reading.position) + f" {length}"))
+    return table(rows, "rtgs-reading")
 
 
 def measured_html(result: Measured) -> str:
@@ -157,16 +158,4 @@ def measured_html(result: Measured) -> str:
         rows.append(("95 % interval", f"{result.low:.4g} … {result.high:.4g} {result.unit}"))
     if result.note:
         rows.append(("Note", html.escape(result.note)))
-    return _table(rows, "rtgs-measured")
-
-
-def _table(rows: list[tuple[str, str]], name: str) -> str:
-    left = '<td style="opacity:.7;padding:1px 10px 1px 0;vertical-align:top;white-space:nowrap">'
-    cells = "".join(f"<tr>{left}{a}</td><td style='padding:1px 0'>{b}</td></tr>" for a, b in rows)
-    return (
-        f'<div style="padding:0 14px;font-size:13px"><table class="{name}" style="border-collapse:collapse">{cells}</table></div>'
-    )
-
-
-def _hint(text: str) -> str:
-    return f'<div style="padding:0 14px;font-size:13px;opacity:.7">{html.escape(text)}</div>'
+    return table(rows, "rtgs-measured")

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import cv2
+import numpy as np
 import viser
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rtgs.images.pictures import palette, to_picture
 from rtgs.viewer.panel_view import Head
-from rtgs.viewer.session import Sensor, Session, photo_eye
+from rtgs.viewer.session import Sensor, Session, Shown, photo_eye
 
 _THUMB_PX = 128
+_SMALLEST, _LARGEST = 0.03, 0.12  # camera in the picture, of the world's size
 _COLOURS: dict[Sensor, tuple[int, int, int]] = {"RGB": (90, 170, 255), "thermal": (255, 140, 60)}
 
 
@@ -22,6 +27,8 @@ class PhotosPanel:
         self._session, self._head, gui = session, head, session.client.gui
         self._nodes: dict[tuple[Sensor, str], viser.CameraFrustumHandle] = {}
         self._drawn_for: object = None
+        self._palette = session.wish.palette
+        self._drawing = threading.Lock()  # two boxes that are ticked at once
         names = self._frames()
         with gui.add_folder("A photograph"):
             self._frame = gui.add_dropdown("Frame", names, initial_value=names[0])
@@ -32,10 +39,11 @@ class PhotosPanel:
             show = gui.add_button("Compare with the model", icon="arrows-left-right")
             fly = gui.add_button("Jump to its camera", icon="camera")
         with gui.add_folder("All cameras"):
-            self._rgb = gui.add_checkbox("RGB cameras", False)
-            self._thermal = gui.add_checkbox("Thermal cameras", False)
-            self._pictures = gui.add_checkbox("With their photographs", True)
+            self._rgb = gui.add_checkbox("RGB", False)
+            self._thermal = gui.add_checkbox("Thermal", False)
+            self._pictures = gui.add_checkbox("Photographs", True, hint="Each with its photograph.")
         session.ask(frame=names[0])
+        session.after_drawing.append(self._follow)
         for control in (self._frame, self._sensor, self._sweep):
             control.on_update(lambda _: session.safely(self._take))
         show.on_click(lambda _: session.safely(lambda: self._head.show("Photo and render")))
@@ -70,13 +78,21 @@ class PhotosPanel:
 
     def draw_cameras(self) -> None:
         """The cameras in the picture: the thermal ones where the scale that is tried puts them."""
+        with self._drawing:
+            wanted = self._draw()
+        session = self._session
+        (session.overlays.add if wanted else session.overlays.discard)("cameras")
+        session.redraw()
+
+    def _draw(self) -> list[Sensor]:
         session, contents = self._session, self._session.contents
         scene, scale = contents.scene, contents.scale
         wanted: list[Sensor] = []
         if scene is not None:
             wanted += ["RGB"] if self._rgb.value else []
             wanted += ["thermal"] if self._thermal.value and scale is not None else []
-        key = (contents, tuple(wanted), self._pictures.value)
+        self._palette = session.wish.palette
+        key = (contents, tuple(wanted), self._pictures.value, self._palette)
         if key != self._drawn_for:
             self._drawn_for = key
             for node in self._nodes.values():
@@ -89,8 +105,12 @@ class PhotosPanel:
             for (sensor, name), node in self._nodes.items():
                 if sensor == "thermal":
                     node.position = scene.world_from_thermal(name, tried).translation
-        (session.overlays.add if wanted else session.overlays.discard)("cameras")
-        session.redraw()
+        return wanted
+
+    def _follow(self, _: Shown) -> None:
+        """The photographs in the palette of the picture."""
+        if self._nodes and self._palette != self._session.wish.palette:
+            self.draw_cameras()
 
     def _add(self, sensor: Sensor) -> None:
         session, contents = self._session, self._session.contents
@@ -98,6 +118,7 @@ class PhotosPanel:
         scene, factor = contents.scene, 1.0 if contents.scale is None else contents.scale.sfm_per_metre
         camera = scene.rig.rgb if sensor == "RGB" else scene.rig.thermal
         span = contents.thermal.range if contents.thermal is not None else None
+        size = _size([pose.translation for pose in scene.world_from_rgb.values()])
         for frame in scene.frames:
             image = None
             if self._pictures.value:
@@ -106,13 +127,15 @@ class PhotosPanel:
                     values, (_THUMB_PX, max(1, _THUMB_PX * camera.height // camera.width)), interpolation=cv2.INTER_AREA
                 )
                 lo, hi = (span.lo, span.hi) if span is not None else (float(small.min()), float(small.max()) + 1e-6)
-                image = to_picture(small) if sensor == "RGB" else palette(small, lo, hi, session.wish.palette)
+                image = to_picture(small) if sensor == "RGB" else palette(small, lo, hi, self._palette)
             pose = photo_eye(scene, frame.name, sensor, factor).world_from_camera
             node = session.client.scene.add_camera_frustum(
                 f"/cameras/{sensor}/{len(self._nodes)}",
                 fov=2 * math.atan(0.5 * camera.height / camera.fl_y),
                 aspect=camera.width / camera.height,
-                scale=0.12,
+                scale=size,
+                thickness=2.0,
+                thickness_units="screen",
                 color=_COLOURS[sensor],
                 image=image,
                 wxyz=viser.transforms.SO3.from_matrix(pose.rotation).wxyz,
@@ -131,3 +154,11 @@ class PhotosPanel:
     def _frames(self) -> tuple[str, ...]:
         scene = self._session.contents.scene
         return ("—",) if scene is None else tuple(scene.world_from_rgb)
+
+
+def _size(centres: list[NDArray[np.float64]]) -> float:
+    """Of the cameras in the picture, in the world: so that neighbours can be told apart."""
+    if len(centres) < 2:
+        return _LARGEST
+    apart = cKDTree(centres).query(centres, k=2)[0][:, 1]
+    return float(np.clip(0.5 * np.median(apart), _SMALLEST, _LARGEST))

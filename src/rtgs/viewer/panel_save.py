@@ -21,7 +21,7 @@ class SavePanel:
     def __init__(self, session: Session) -> None:
         self._session, gui = session, session.client.gui
         with gui.add_folder("Picture"):
-            self._bar = gui.add_checkbox("With the colour bar", True)
+            self._bar = gui.add_checkbox("Colour bar", True, hint="Beside the picture.")
             self._shot = gui.add_button("Save the picture", icon="photo")
         with gui.add_folder("Film"):
             self._seconds = gui.add_number("Seconds", 6, min=1, max=120, step=1)

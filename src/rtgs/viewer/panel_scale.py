@@ -11,10 +11,9 @@ import numpy as np
 from rtgs.scale import ScaleEstimate
 from rtgs.viewer.panel_photos import PhotosPanel
 from rtgs.viewer.panel_view import Head
-from rtgs.viewer.scale_check import LEGEND, curve_picture
+from rtgs.viewer.pieces import block
+from rtgs.viewer.scale_check import LEAST, LEGEND, MOST, curve_picture
 from rtgs.viewer.session import Session
-
-LEAST, MOST = 0.5, 2.0  # that the slider reaches, as multiples of the estimate
 
 
 class ScalePanel:
@@ -72,11 +71,8 @@ class ScalePanel:
             return
         value, where = tried * scale.sfm_per_metre, ""
         if scale.ci95 is not None:
-            where = "inside the interval" if scale.ci95[0] <= value <= scale.ci95[1] else "outside of the interval"
-        self._tried.content = (
-            '<div class="rtgs-tried" style="padding:0 14px;font-size:13px">'
-            f"tried: <b>{value:.5g}</b> SfM units per metre, {where}</div>"
-        )
+            where = ", inside the interval" if scale.ci95[0] <= value <= scale.ci95[1] else ", outside of the interval"
+        self._tried.content = block(f"<b>{value:.5g}</b> SfM units per {_per(scale)}{where}", name="rtgs-tried")
         self._curve.image = curve_picture(scale, value)
 
 
@@ -90,8 +86,7 @@ def _facts(scale: ScaleEstimate | None) -> str:
     if scale is None:
         text = "The scale is not known yet: lengths are in SfM units."
     else:
-        per = "metre" if scale.calibration is None or scale.baseline_m is not None else "baseline"
-        text = f"<b>{scale.sfm_per_metre:.5g}</b> SfM units per {per}, status <b>{scale.status}</b>"
+        text = f"<b>{scale.sfm_per_metre:.5g}</b> SfM units per {_per(scale)}, status <b>{scale.status}</b>"
         if scale.ci95 is not None:
             share = 100 * 0.5 * math.log(scale.ci95[1] / scale.ci95[0])
             text += f"<br>95 % interval {scale.ci95[0]:.5g} … {scale.ci95[1]:.5g} (± {share:.2g} %)"
@@ -99,13 +94,17 @@ def _facts(scale: ScaleEstimate | None) -> str:
             text += f"<br>It rests on a baseline of {1000 * scale.baseline_m:.1f} mm between both cameras."
         if scale.reason:
             text += f"<br>{html.escape(scale.reason)}"
-    return f'<div style="padding:0 14px;font-size:13px">{text}</div>'
+    return block(text)
+
+
+def _per(scale: ScaleEstimate) -> str:
+    return "metre" if scale.calibration is None or scale.baseline_m is not None else "baseline"
 
 
 def _legend() -> str:
-    items = "".join(
-        f'<span style="margin-right:12px"><span style="display:inline-block;width:12px;height:4px;vertical-align:middle;'
+    items = " ".join(
+        f'<span style="margin-right:12px;white-space:nowrap"><span style="display:inline-block;width:12px;height:4px;vertical-align:middle;'
         f'margin-right:4px;background:rgb{colour};outline:1px solid #8888"></span>{text}</span>'
         for text, colour in LEGEND
     )
-    return f'<div style="padding:0 14px;font-size:12px">{items}</div>'
+    return block(items, size_px=12)

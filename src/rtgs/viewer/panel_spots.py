@@ -18,6 +18,7 @@ from rtgs.viewer.engine import Eye
 from rtgs.viewer.panel_measure import unit_of
 from rtgs.viewer.panel_view import Head
 from rtgs.viewer.picture import Shade, difference_in_unit, from_unit, in_unit
+from rtgs.viewer.pieces import block
 from rtgs.viewer.session import Session, long_action, photo_eye
 
 CRITERIA = ("by excess", "above", "below")
@@ -41,7 +42,7 @@ class SpotsPanel:
             self._list = gui.add_html("")
             self._choice = gui.add_dropdown("Spot", ("—",), initial_value="—")
             self._jump = gui.add_button("Jump to the spot", icon="focus-2")
-            self._marks = gui.add_checkbox("Marks in the picture", True)
+            self._marks = gui.add_checkbox("Marks", True, hint="Of the spots, in the picture.")
         self._find.on_click(lambda _: session.safely(self._search))
         self._jump.on_click(lambda _: session.safely(self._go))
         self._marks.on_update(lambda _: session.safely(self._draw))
@@ -60,7 +61,7 @@ class SpotsPanel:
         rows = "" if found is None else "".join(_row(i, s, unit, found.length_unit) for i, s in enumerate(found.spots[:_LISTED]))
         head = "<tr style='opacity:.7'><td>№</td><td>extreme</td><td>excess</td><td>ø</td><td>views</td></tr>" if rows else ""
         table = f'<table class="rtgs-spots" style="width:100%;font-size:12px;border-collapse:collapse">{head}{rows}</table>'
-        self._list.content = f'<div style="padding:0 14px;font-size:13px">{html.escape(text)}{table if rows else ""}</div>'
+        self._list.content = block(html.escape(text) + (table if rows else ""))
         self._draw()
 
     def _search(self) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 
 from rtgs.viewer.engine import Clip, Eye
 from rtgs.viewer.legend import colour_bar
-from rtgs.viewer.picture import PALETTES, SHOWS, Shade, from_unit, in_unit
+from rtgs.viewer.picture import PALETTES, SHOWS, Shade, from_unit, in_unit, percentiles
+from rtgs.viewer.pieces import STYLE
 from rtgs.viewer.session import MODES, RANGES, Session, Shown
 
 UPS = ("as photographed", "+x", "−x", "+y", "−y", "+z", "−z")
@@ -19,6 +20,7 @@ class Head:
 
     def __init__(self, session: Session) -> None:
         self._session, gui = session, session.client.gui
+        gui.add_html(STYLE)
         self.message = gui.add_markdown("", visible=False)
         self.mode = gui.add_dropdown("Show", MODES, initial_value=session.wish.mode)
         self.legend = gui.add_html("", visible=False)
@@ -93,6 +95,7 @@ class ViewPanel:
         session, gui = self._session, self._session.client.gui
         thermal = session.contents.thermal
         lo, hi = (0.0, 0.0) if thermal is None else (round(thermal.range.lo, 2), round(thermal.range.hi, 2))
+        self._banded = False
         with gui.add_folder("Temperatures"):
             self._blend = gui.add_slider("Blend", 0.0, 1.0, 0.05, 0.5, hint="Share of the temperature in the mode Blend.")
             self._palette = gui.add_dropdown("Palette", tuple(PALETTES), initial_value="Inferno")
@@ -102,8 +105,8 @@ class ViewPanel:
             self._low = gui.add_number("Lowest", lo, step=0.1, visible=False)
             self._high = gui.add_number("Highest", hi, step=0.1, visible=False)
             self._isotherm = gui.add_checkbox("Isotherm", False, hint="Paint a band of temperatures green.")
-            self._from = gui.add_number("From", lo, step=0.1, visible=False)
-            self._to = gui.add_number("To", hi, step=0.1, visible=False)
+            self._from = gui.add_number("From", 0.0, step=0.1, visible=False)
+            self._to = gui.add_number("To", 0.0, step=0.1, visible=False)
         for control in (
             self._blend,
             self._palette,
@@ -124,6 +127,14 @@ class ViewPanel:
         self._percent.visible = kind == RANGES[1]
         self._low.visible = self._high.visible = kind == RANGES[2]
         self._from.visible = self._to.visible = band
+        if kind == RANGES[2] != session.wish.range_kind and session.shown is not None:  # begins with the colours that are there
+            self._low.value, self._high.value = (
+                round(in_unit(end, unit), 2) for end in (session.shown.look.lo, session.shown.look.hi)
+            )
+        if band and not self._banded:
+            self._banded = True
+            for handle, end in zip((self._from, self._to), self._warmest(), strict=True):
+                handle.value = round(in_unit(end, unit), 1)
         low, high, start, end = (from_unit(h.value, unit) for h in (self._low, self._high, self._from, self._to))
         session.ask(
             blend=self._blend.value,
@@ -133,6 +144,13 @@ class ViewPanel:
             by_hand=(min(low, high), max(low, high)),
             isotherm=(min(start, end), max(start, end)) if band else None,
         )
+
+    def _warmest(self) -> tuple[float, float]:
+        """The range of the warmest tenth of the picture: the first isotherm."""
+        session, shown = self._session, self._session.shown
+        seen = None if shown is None or shown.seen is None else shown.seen.temperature
+        look = session.painter.look_of(session.wish, seen)
+        return (None if seen is None else percentiles(seen, 90.0, 100.0)) or (0.5 * (look.lo + look.hi), look.hi)
 
     def _change_unit(self) -> None:
         """The same temperatures in another unit."""

@@ -90,7 +90,7 @@ def swept(left: Picture, right: Picture, share: float) -> Picture:
     at = int(round(np.clip(share, 0.0, 1.0) * left.shape[1]))
     out = right.copy()
     out[:, :at] = left[:, :at]
-    out[:, max(at - 1, 0) : at + 1] = 255
+    out[:, max(at - 2, 0) : at + 2] = 255
     return out
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +22,9 @@ from rtgs.viewer.engine import Engine, Eye
 
 ESTIMATE = (64, 224, 128)
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-_CURVE = (420, 160)  # width and height of the curve's picture
+LEAST, MOST = 0.5, 2.0  # that a person can try, as multiples of the estimate
+_INTERVAL = (40, 92, 66)
+_CURVE, _TEXT_PX = (640, 280), 24  # size of the curve's picture, about twice that on the page
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,35 +53,37 @@ def check_scale(engine: Engine, frame: str, sfm_per_metre: float) -> ScaleCheck 
 
 
 def curve_picture(estimate: ScaleEstimate, tried: float) -> Picture:
-    """The loss over the scale, with the estimate, its interval and the scale that is tried."""
+    """The loss from half the estimate to its double, with the estimate, its interval and the scale that is tried."""
     width, height = _CURVE
     image = Image.new("RGB", _CURVE, BACKGROUND)
-    draw = ImageDraw.Draw(image)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=_TEXT_PX)
+    top, bottom = 2 * _TEXT_PX, height - 2 * _TEXT_PX
     scan = estimate.scan or estimate.local
-    s = np.array(scan.sfm_per_metre or (estimate.sfm_per_metre,))
-    loss = np.array(scan.loss or (0.0,))
-    theta = np.log(np.concatenate([s, [tried, *(estimate.ci95 or ())]]))
-    lo, hi = theta.min() - 0.05, theta.max() + 0.05
-    low, high = loss.min(), max(loss.max(), loss.min() + 1e-9)
+    share = np.array(scan.sfm_per_metre) / estimate.sfm_per_metre
+    near = (share > LEAST / 1.3) & (share < 1.3 * MOST)  # one sample beyond each end where the scan is coarse
+    share, loss = share[near], np.array(scan.loss)[near]
 
-    def x(scale: float) -> float:
-        return 8 + (math.log(scale) - lo) / (hi - lo) * (width - 16)
-
-    def y(value: float) -> float:
-        return float(height - 26 - (value - low) / (high - low) * (height - 40))
+    def x(multiple: float) -> float:
+        return 12 + (multiple - LEAST) / (MOST - LEAST) * (width - 24)
 
     if estimate.ci95 is not None:
-        a, b = (x(end) for end in estimate.ci95)
-        draw.rectangle(
-            [min(a, x(estimate.sfm_per_metre) - 2), 6, max(b, x(estimate.sfm_per_metre) + 2), height - 20], fill=(52, 72, 66)
-        )
-    draw.line([(x(a), y(b)) for a, b in zip(s, loss, strict=True)], fill=INK, width=2)
-    draw.line([(x(estimate.sfm_per_metre), 6), (x(estimate.sfm_per_metre), height - 20)], fill=ESTIMATE, width=2)
-    draw.line([(x(tried), 6), (x(tried), height - 20)], fill=THERMAL_EDGE, width=2)
-    font = ImageFont.load_default(size=14)
-    draw.text((8, height - 19), "loss over the scale", fill=INK, font=font)
-    for text, colour, at in (("estimate, interval", ESTIMATE, 0.44), ("tried", THERMAL_EDGE, 0.86)):
-        draw.text((width * at, height - 19), text, fill=colour, font=font)
+        a, b = (x(end / estimate.sfm_per_metre) for end in estimate.ci95)
+        draw.rectangle([min(a, x(1) - 4), top, max(b, x(1) + 4), bottom], fill=_INTERVAL)
+    draw.line([(x(1), top), (x(1), bottom)], fill=ESTIMATE, width=7)
+    if len(share) > 1:
+        low, span = loss.min(), max(float(np.ptp(loss)), 1e-9)
+        draw.line([(x(s), bottom - 6 - (v - low) / span * (bottom - top - 12)) for s, v in zip(share, loss, strict=True)], INK, 3)
+    at = x(float(np.clip(tried / estimate.sfm_per_metre, LEAST, MOST)))
+    draw.line([(at, top), (at, bottom)], fill=THERMAL_EDGE, width=3)
+    low_line, high_line = height - _TEXT_PX, _TEXT_PX
+    for text, colour, place, anchor in (
+        ("loss", INK, (12, high_line), "lm"),
+        ("estimate, 95 % interval" if estimate.ci95 else "estimate", ESTIMATE, (0.55 * width, high_line), "mm"),
+        ("tried", THERMAL_EDGE, (width - 12, high_line), "rm"),
+        ("half", INK, (12, low_line), "lm"),
+        ("double", INK, (width - 12, low_line), "rm"),
+    ):
+        draw.text(place, text, fill=colour, font=font, anchor=anchor)
     return np.asarray(image)
 
 

@@ -182,7 +182,8 @@ class Painter:
         picture = thermal_picture(photo.thermal, look) if thermal else to_picture(photo.rgb)
         frame = Frame.of(here.camera.width, here.camera.height, *size)
         note = f"{wish.frame}, {wish.sensor}: photograph on the left, model on the right"
-        shown = on_screen(swept(picture, picture_of(seen, look), wish.sweep), *size)
+        at = (frame.left + wish.sweep * frame.factor * here.camera.width) / size[0]
+        shown = swept(on_screen(picture, *size), on_screen(picture_of(seen, look), *size), at)
         return Shown(shown, look, ((here, frame),), note=note)
 
     def _scale(self, wish: Wish, eye: Eye) -> Shown:
@@ -210,9 +211,13 @@ def photo_eye(scene: Scene, frame: str, sensor: Sensor, sfm_per_metre: float) ->
 
 
 def _narrowed(eye: Eye, width: int) -> Eye:
-    """The middle of the view."""
+    """All that is seen from left to right, in a narrower picture."""
     camera = eye.camera
-    return replace(eye, camera=replace(camera, width=width, cx=camera.cx - 0.5 * (camera.width - width)))
+    factor = width / camera.width
+    return replace(
+        eye,
+        camera=replace(camera, width=width, cx=factor * camera.cx, fl_x=factor * camera.fl_x, fl_y=factor * camera.fl_y),
+    )
 
 
 @dataclass(eq=False)

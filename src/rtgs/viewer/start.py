@@ -24,7 +24,9 @@ from rtgs.viewer.panel_view import Head, ViewPanel
 from rtgs.viewer.session import Session
 
 POLL_S = 2.0
-PANEL_PX = 360.0
+PANEL_PX = 340.0
+NARROW_PX = 640  # a picture narrower than this beside the panel
+NARROW_PANEL_PX = 280.0  # is given more room
 
 
 class Page:
@@ -33,6 +35,8 @@ class Page:
     def __init__(self, hub: Hub, client: viser.ClientHandle) -> None:
         self.session = session = Session(hub, client)
         gui = client.gui
+        if client.camera.image_width < NARROW_PX:
+            gui.main_panel.set_width(NARROW_PANEL_PX)
         with client.atomic():
             self.head = Head(session)
             tabs = gui.add_tab_group()
