@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtgs.thermal.spot_regions import Region, regions_by_excess, regions_by_threshold
+from rtgs.thermal.spot_regions import Region, highest, regions_by_excess, regions_by_threshold
 
 Y, X = np.mgrid[:90, :120].astype(float)
 SLANTED = 2.0 + 0.01 * X + 0.004 * Y  # depth of a slanted wall
@@ -81,3 +81,23 @@ def test_areas_beyond_a_threshold() -> None:
     assert first.peak == (30, 40) and first.surroundings == pytest.approx(21.0, abs=1.0)
     assert len(second.rows) == 29 * 39
     assert not list(regions_by_threshold(image, np.full(image.shape, np.nan), 27.0))
+
+
+def test_sharp_edges_raise_no_peak() -> None:
+    """A plate of one temperature is as warm as its pixels; and what is cold beside a spot does not make the spot warmer."""
+    plate = 20 + 28.0 * ((np.abs(Y - 40) < 5) & (np.abs(X - 60) < 4))
+    (found,) = regions_by_excess(plate, np.full(plate.shape, 2.0), 3.0)
+    assert found.extreme == pytest.approx(48.0, abs=1.0)
+    spot = wall((40, 60, 10.0, 2.0))
+    beside = np.where(X < 57, spot - 40, spot)  # a window, far colder
+    (alone,), (edged,) = (regions_by_excess(image, np.full(image.shape, 2.0), 3.0) for image in (spot, beside))
+    assert edged.extreme == pytest.approx(alone.extreme, abs=0.5)
+
+
+def test_the_top_of_a_wide_spot_lies_between_its_pixels() -> None:
+    fine = (np.arange(8 * 41) + 0.5) / 8 - 0.5
+    y, x = fine[:, None] - 20.5, fine[None] - 20.4
+    spot = 20 + 15 * np.exp(-4 * math.log(2) * (x**2 + y**2) / 6.0**2)
+    image = spot.reshape(41, 8, 41, 8).mean(axis=(1, 3))
+    rows, columns = np.nonzero(image > 27.5)
+    assert highest(image, rows, columns, 20.0) == pytest.approx(35.0, abs=0.1) and image.max() < 34.4

@@ -22,6 +22,7 @@ from rtgs.records.rig import Rig
 from rtgs.records.scene import Scene
 from rtgs.renderer import RenderSettings
 from rtgs.thermal.spot_places import Sighting, facing_area, joined, meeting_point
+from rtgs.thermal.spot_views import Surface
 from rtgs.thermal.spots import find_spots
 
 CAMERA = Camera("PINHOLE", 96, 80, 110.0, 110.0, 48.0, 40.0)
@@ -172,6 +173,32 @@ def test_sightings_are_joined_where_their_rays_meet() -> None:
     assert joined([]) == []
 
 
+def test_a_group_does_not_grow_from_one_thing_to_the_next() -> None:
+    """Six things in a row, each within the radius of the next; views show two of them each."""
+    row = [(0.012 * k, 0.0) for k in range(6)]
+    pairs = [("a", 0), ("a", 3), ("b", 1), ("b", 4), ("c", 2), ("c", 5), ("d", 0), ("d", 3), ("e", 1), ("e", 4)]
+    eyes = {"a": -0.5, "b": -0.2, "c": 0.0, "d": 0.3, "e": 0.6}
+    for group in joined([sighting(name, eyes[name], row[k]) for name, k in pairs]):
+        assert len({s.frame for s in group}) == len(group)
+        assert np.ptp([s.centre[0] for s in group]) < 0.04  # about twice the radius
+
+
+def test_depth_errors_of_single_views_do_not_divide_a_place() -> None:
+    """Rays of seven views meet; the depths are up to 4 % wrong either way."""
+    off = (0.04, 0.03, -0.01, -0.02, 0.0, -0.04, 0.01)
+    group = [sighting(str(k), 0.3 * (k - 3), (0.1, 0.05), off=share) for k, share in enumerate(off)]
+    assert [len(g) for g in joined(group)] == [7]
+
+
+def test_the_depth_of_a_region_is_that_of_its_own_surface() -> None:
+    """A chair before a wall: what smooths the wall's depth also takes the chair's away."""
+    smooth = np.full((8, 8), 4.0)
+    surface = Surface(CAMERA, SE3.identity(), smooth, smooth)
+    rows, columns = np.array([9, 10]), np.array([9, 9])
+    np.testing.assert_array_equal(surface.depth_of(rows, columns, np.array([4.2, 3.9])), [4.0, 4.0])
+    np.testing.assert_array_equal(surface.depth_of(rows, columns, np.array([3.0, 3.1])), [3.05, 3.05])
+
+
 def test_area_and_slant_follow_from_what_the_views_show() -> None:
     """A spot of 0.01 on a wall; the model's normals are half a radian off."""
     wrong = np.array([0.0, 0.5, 0.87])
@@ -181,6 +208,14 @@ def test_area_and_slant_follow_from_what_the_views_show() -> None:
     found = facing_area(group, np.zeros(3))
     assert np.linalg.norm(found) == pytest.approx(0.01, rel=0.02)
     np.testing.assert_allclose(found / np.linalg.norm(found), [0, 0, -1], atol=0.1)  # towards the cameras
+
+
+def test_a_view_that_shows_a_part_of_the_spot_does_not_make_it_smaller() -> None:
+    eyes = [np.array([x, y, -1.5]) for x in (-1.5, 0.0, 1.5) for y in (-1.5, 0.0, 1.5)]
+    one = sighting("a", 0.0, (0.0, 0.0))
+    group = [replace(one, eye=eye, area=0.015 / float(np.linalg.norm(eye))) for eye in eyes]
+    group[2], group[5] = replace(group[2], area=0.0004), replace(group[5], area=0.0006)  # something stands before it
+    assert np.linalg.norm(facing_area(group, np.zeros(3))) == pytest.approx(0.01, rel=0.1)
 
 
 def test_from_one_side_the_normal_of_the_model_decides() -> None:

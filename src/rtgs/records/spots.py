@@ -25,7 +25,7 @@ class Spot:
         std: standard error of `extreme`, from its scatter over the views and from what pixels blur; None for a single view.
         views: how many training photographs show it. seen_by: how many see the place.
         best_frames: up to three frames that show it largest.
-        modelled: the model's highest (lowest) temperature there. modelled_std: its standard error.
+        modelled: the model's highest (lowest) temperature there. modelled_std: its standard error, from the scatter over the views.
         latitude_deg, longitude_deg, altitude_m: of the centre, in WGS 84; None where the photographs do not tell it.
     """
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 NEAR_PX = 2.0  # rays of two views to one place pass each other within so many pixels
 DEPTH_SHARE = 0.04  # of the distance: error of the model's depth, on surfaces without texture
 CENTRE_PX = 0.5  # how well a photograph shows the centre of a spot
 AREA_ERROR = 0.1  # share: how well a view shows a spot's area across the ray
+_ROUNDS = 10
 NORMAL_ERROR = 0.5  # radians: how well the model shows the normal of a surface without texture
 
 Floats = NDArray[np.float64]
@@ -64,13 +63,39 @@ class Sighting:
 
 
 def joined(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
-    """Sightings in groups that are of one place.
+    """Sightings in groups that are of one place, at most one of each view, the largest groups first.
 
-    Two of different views belong together where their rays pass each other within the larger radius, where the model's depths agree to
-    their errors, and where no other of these views lies nearer. Two of one view do where they lie within the larger radius.
+    Two belong together where their rays pass each other within the smaller radius, where the model's depths agree to their errors, and
+    where no other sighting of these views lies nearer. A group begins with the sighting that has most partners. They say where the place
+    is, and then the place says which sightings are of it. So groups do not grow from one thing to the next.
     """
-    if not sightings:
-        return []
+    partners = _partners(sightings)
+    free = set(range(len(sightings)))
+    counts = np.array([len(p) for p in partners])  # of free partners; −1: not free
+    groups = []
+    while free:
+        hub = int(counts.argmax())
+        group = {hub} | (partners[hub] & free)
+        for _ in range(_ROUNDS):
+            place = meeting_point([sightings[i] for i in group])
+            near = group.union(*(partners[i] for i in group)) & free
+            found = _of_place(sightings, sorted(near), place, float(np.median([sightings[i].radius for i in group])))
+            if found in (group, set()):
+                break
+            group = found
+        groups.append([sightings[i] for i in sorted(group)])
+        for i in group | {hub}:
+            free.remove(i)
+            counts[i] = -1
+            counts[[j for j in partners[i] if j in free]] -= 1
+    return groups
+
+
+def _partners(sightings: Sequence[Sighting]) -> list[set[int]]:
+    """For each sighting, those of other views that belong to it."""
+    found: list[set[int]] = [set() for _ in sightings]
+    if len(sightings) < 2:
+        return found
     centres, eyes = np.stack([s.centre for s in sightings]), np.stack([s.eye for s in sightings])
     radius, depth_error = (np.array([getattr(s, name) for s in sightings]) for name in ("radius", "depth_error"))
     a, b = cKDTree(centres).query_pairs(float((radius + depth_error).max()), output_type="ndarray").T
@@ -78,24 +103,33 @@ def joined(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
     rays = (centres - eyes) / np.linalg.norm(centres - eyes, axis=1, keepdims=True)
     across = np.cross(rays[a], rays[b])
     sine = np.linalg.norm(across, axis=1)
-    passing = np.abs(((eyes[b] - eyes[a]) * across).sum(1)) / np.maximum(sine, 1e-12)
-    larger = np.maximum(radius[a], radius[b])
-    one_view = sine < 1e-6
-    one_view |= np.array([sightings[i].frame == sightings[j].frame for i, j in zip(a, b, strict=True)], dtype=bool)
-    near = (apart <= larger) | (~one_view & (passing <= larger) & (apart <= np.maximum(depth_error[a], depth_error[b])))
+    passing = np.where(sine < 1e-6, apart, np.abs(((eyes[b] - eyes[a]) * across).sum(1)) / np.maximum(sine, 1e-12))
+    smaller = np.minimum(radius[a], radius[b])
+    near = (apart <= smaller) | ((passing <= smaller) & (apart <= np.maximum(depth_error[a], depth_error[b])))
+    near &= np.array([sightings[i].frame != sightings[j].frame for i, j in zip(a, b, strict=True)], dtype=bool)
     a, b, apart = a[near], b[near], apart[near]
     nearest: dict[tuple[int, str], float] = {}
     for i, j, distance in zip((*a, *b), (*b, *a), (*apart, *apart), strict=True):
         key = (int(i), sightings[j].frame)
         nearest[key] = min(distance, nearest.get(key, np.inf))
-    mutual = [
-        d <= nearest[int(i), sightings[j].frame] and d <= nearest[int(j), sightings[i].frame]
-        for i, j, d in zip(a, b, apart, strict=True)
-    ]
-    a, b = a[mutual], b[mutual]
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(sightings), len(sightings)))
-    count, labels = connected_components(graph, directed=False)
-    return [[sightings[int(i)] for i in np.flatnonzero(labels == k)] for k in range(count)]
+    for i, j, distance in zip(a.tolist(), b.tolist(), apart, strict=True):
+        if distance <= min(nearest[i, sightings[j].frame], nearest[j, sightings[i].frame]):
+            found[i].add(j)
+            found[j].add(i)
+    return found
+
+
+def _of_place(sightings: Sequence[Sighting], candidates: Sequence[int], place: Floats, radius: float) -> set[int]:
+    """The candidates whose rays pass a place within a radius, and their own, at its depth; of each view, the one that passes nearest."""
+    best: dict[str, tuple[float, int]] = {}
+    for i in candidates:
+        s = sightings[i]
+        ray = (s.centre - s.eye) / s.distance
+        along = float((place - s.eye) @ ray)
+        passing = float(np.linalg.norm(place - s.eye - along * ray))
+        if passing <= min(radius, s.radius) and abs(along - s.distance) <= 2 * s.depth_error:
+            best[s.frame] = min(best.get(s.frame, (np.inf, i)), (passing, i))
+    return {i for _, i in best.values()}
 
 
 def meeting_point(group: Sequence[Sighting]) -> Floats:
@@ -121,7 +155,12 @@ def facing_area(group: Sequence[Sighting], place: Floats) -> Floats:
     areas = np.array([s.area for s in group]) * (distances / np.array([s.distance for s in group])) ** 2
     normals = np.stack([s.normal for s in group])
     plane = np.linalg.eigh(normals.T @ normals)[1][:, 2]
-    across = (np.eye(3) - np.outer(plane, plane)) / (NORMAL_ERROR * areas.mean())
-    system = np.concatenate([-rays / (AREA_ERROR * areas[:, None]), across])
-    found = np.linalg.lstsq(system, np.concatenate([np.full(len(group), 1 / AREA_ERROR), np.zeros(3)]), rcond=None)[0]
+    typical = float(np.median(areas))
+    across = (np.eye(3) - np.outer(plane, plane)) / (NORMAL_ERROR * typical)
+    weights = np.ones(len(group))
+    for _ in range(_ROUNDS):  # a Cauchy loss, by reweighting: a view may show only a part of the spot
+        system = np.concatenate([-weights[:, None] * rays / (AREA_ERROR * typical), across])
+        right = np.concatenate([weights * areas / (AREA_ERROR * typical), np.zeros(3)])
+        found = np.linalg.lstsq(system, right, rcond=None)[0]
+        weights = 1 / np.hypot(1, (-rays @ found - areas) / (AREA_ERROR * typical))
     return np.asarray(found, dtype=np.float64)

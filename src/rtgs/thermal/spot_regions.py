@@ -22,6 +22,7 @@ FLAT_SHARE = 0.1  # of the depth: opposite pixels of a ring have the centre's de
 _FINER = 8  # points to a side of a pixel, of the image that is resolved
 _COUNTED = 400  # pixels: the area of a larger region is counted
 _MARGIN = 3  # pixels that are resolved around a region
+_UPPER = 0.75  # of the excess: the top of a region, whose width says whether its pixels resolve it
 _EDGE = 3  # pixels around a region whose median stands for its surroundings
 
 Image = NDArray[np.float64]
@@ -67,8 +68,8 @@ def regions_by_excess(temperature: Image, depth: Image, excess: float) -> list[R
         region = _grown(temperature, depth, (row, column), level, 2 * int(radius[k]))
         if region is not None:
             taken[region] = True
-            extreme = highest(temperature, *region)
-            area = _area_px(temperature, *region, surroundings + 0.5 * (extreme - surroundings))
+            extreme = highest(temperature, *region, surroundings)
+            area = _area_px(np.maximum(temperature, surroundings), *region, surroundings + 0.5 * (extreme - surroundings))
             found.append(Region(*region, (row, column), surroundings, extreme, area))
     return found
 
@@ -86,7 +87,7 @@ def regions_by_threshold(temperature: Image, depth: Image, threshold: float) -> 
         at = int(values.argmax())
         around = float(np.median(temperature[grown][rim])) if rim.any() else float(values.min())
         rows, columns = rows + grown[0].start, columns + grown[1].start
-        extreme, area = highest(temperature, rows, columns), _area_px(temperature, rows, columns, threshold)
+        extreme, area = highest(temperature, rows, columns, around), _area_px(temperature, rows, columns, threshold)
         yield Region(rows, columns, (int(rows[at]), int(columns[at])), around, extreme, area)
 
 
@@ -108,13 +109,37 @@ def _spline_at_points(pixels: int) -> Image:
     return np.stack(columns, axis=1)
 
 
-def highest(temperature: Image, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> float:
-    """The highest temperature within some pixels, resolved."""
+def highest(temperature: Image, rows: NDArray[np.int64], columns: NDArray[np.int64], surroundings: float) -> float:
+    """The highest temperature within some pixels, without what the mean over a pixel takes from it.
+
+    Where the top of the region is three pixels wide or more, it is the top of the paraboloid through 3 × 3 pixels whose means are given.
+    Elsewhere it is that of the spline, which overshoots at sharp edges: what is colder than the surroundings counts as these.
+    """
+    top, left = max(int(rows.min()) - 1, 0), max(int(columns.min()) - 1, 0)
+    window = temperature[top : rows.max() + 2, left : columns.max() + 2]
+    values = temperature[rows, columns]
+    upper = np.zeros(window.shape, bool)
+    upper[rows - top, columns - left] = values >= surroundings + _UPPER * (values.max() - surroundings)
+    inner = ndimage.binary_erosion(upper, np.ones((3, 3)))
+    if inner.any():
+        row, column = np.unravel_index(np.where(inner, window, -np.inf).argmax(), window.shape)
+        return _top(window[row - 1 : row + 2, column - 1 : column + 2])
     if len(rows) > _COUNTED:
-        at = int(temperature[rows, columns].argmax())
-        rows, columns = rows[at : at + 1], columns[at : at + 1]
-    fine, own = _resolved_around(temperature, rows, columns)
+        rows, columns = (part[values.argmax()][None] for part in (rows, columns))
+    fine, own = _resolved_around(np.maximum(temperature, min(surroundings, values.min())), rows, columns)
     return float(fine[own].max())
+
+
+def _top(means: Image) -> float:
+    """The highest value in the middle pixel of the paraboloid that has these means over 3 × 3 pixels."""
+    slope = np.array([means[2, 1] - means[0, 1], means[1, 2] - means[1, 0]]) / 2
+    bend = np.array([means[2, 1] + means[0, 1], means[1, 2] + means[1, 0]]) - 2 * means[1, 1]
+    across = (means[2, 2] - means[2, 0] - means[0, 2] + means[0, 0]) / 4
+    hessian = np.array([[bend[0], across], [across, bend[1]]])
+    steps = np.linspace(-0.5, 0.5, _FINER + 1)
+    at = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
+    values = means[1, 1] - bend.sum() / 24 + at @ slope + 0.5 * np.einsum("yxi,ij,yxj->yx", at, hessian, at)
+    return float(values.max())
 
 
 def _area_px(temperature: Image, rows: NDArray[np.int64], columns: NDArray[np.int64], level: float) -> float:

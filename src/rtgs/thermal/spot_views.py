@@ -34,12 +34,14 @@ class Surface:
     """The model's surface in one view.
 
     Attributes:
-        depth: `[h, w]`, of every 4th pixel, smoothed; infinite where nothing is.
+        depth: `[h, w]`, of every 4th pixel, smoothed; infinite where nothing is. rough: before smoothing; things in front that are
+            smaller than what is smoothed over are only there.
     """
 
     camera: Camera
     thermal_from_world: SE3
     depth: Floats
+    rough: Floats
 
     def sees(self, place: Floats, normal: Floats) -> bool:
         """Whether the view shows a place `[3]` of the world, in its image, not hidden, and not too slantingly."""
@@ -50,7 +52,17 @@ class Surface:
         x, y = self.camera.project(local)
         if not (_MARGIN_PX <= x < self.camera.width - _MARGIN_PX and _MARGIN_PX <= y < self.camera.height - _MARGIN_PX):
             return False
-        return bool(abs(self.depth[int(y) // STEP_PX, int(x) // STEP_PX] - local[2]) <= FLAT_SHARE * local[2])
+        at = int(y) // STEP_PX, int(x) // STEP_PX
+        return bool(min(abs(self.depth[at] - local[2]), abs(self.rough[at] - local[2])) <= FLAT_SHARE * local[2])
+
+    def depth_of(self, rows: NDArray[np.int64], columns: NDArray[np.int64], rendered: Floats) -> Floats:
+        """`[K]`: depth of a region's pixels: the smooth surface, or what was rendered where that is another surface.
+
+        Args:
+            rendered: `[K]`, the depth as rendered.
+        """
+        smooth, own = self.depth[rows // STEP_PX, columns // STEP_PX], float(np.median(rendered))
+        return np.where(np.abs(smooth - own) <= FLAT_SHARE * own, smooth, own)
 
     def points(self) -> Floats:
         """`[h, w, 3]` in camera axes."""
@@ -99,13 +111,13 @@ class SpotView:
         alpha = view.alpha.numpy().astype(np.float64)
         depth = np.where((alpha >= SOLID) & valid, view.depth.numpy() / np.maximum(alpha, SOLID), np.nan)
         coarse = depth[::STEP_PX, ::STEP_PX]
-        smooth = median_filter(np.where(np.isfinite(coarse), coarse, np.inf), MEDIAN)
+        rough = np.where(np.isfinite(coarse), coarse, np.inf)
         return SpotView(
             frame.name,
             np.where(valid, photograph, shown).astype(np.float64),
             shown.astype(np.float64),
             depth,
-            Surface(camera, pose, smooth),
+            Surface(camera, pose, median_filter(rough, MEDIAN), rough),
         )
 
     def sightings(self, sign: int, regions: Sequence[Region]) -> Iterator[Sighting]:
@@ -114,16 +126,15 @@ class SpotView:
         world_from_thermal = self.surface.thermal_from_world.inverse()
         for region in regions:
             rows, columns = region.rows, region.columns
-            near = self.surface.depth[rows // STEP_PX, columns // STEP_PX]
-            points = (
-                rays(camera, columns + 0.5, rows + 0.5) * np.where(np.isfinite(near), near, self.depth[rows, columns])[:, None]
-            )
+            depth = self.surface.depth_of(rows, columns, self.depth[rows, columns])
+            points = rays(camera, columns + 0.5, rows + 0.5) * depth[:, None]
             pixel = points[:, 2] / camera.fl_x
             # A pixel's solid angle shrinks towards the image's border by the cube of the cosine to the axis.
             areas = pixel**2 * points[:, 2] / np.linalg.norm(points, axis=1)
             weights = np.maximum(image[rows, columns] - region.surroundings, 1e-6) * areas
             own = np.zeros(image.shape, bool)
             own[rows, columns] = True
+            near = np.nonzero(binary_dilation(own))
             yield Sighting(
                 frame=self.frame,
                 sign=sign,
@@ -136,7 +147,7 @@ class SpotView:
                 extreme=sign * region.extreme,
                 mean=sign * float(image[rows, columns].mean()),
                 surroundings=sign * region.surroundings,
-                modelled=sign * highest(sign * self.shown, *np.nonzero(binary_dilation(own))),
+                modelled=sign * highest(sign * self.shown, near[0], near[1], region.surroundings),
                 lowered=abs(region.extreme - float(image[rows, columns].max())),
             )
 
