@@ -5,27 +5,39 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from tests.helpers.chromium import Chromium, Tab, chromium, needs_chromium, wait_for
+import torch
+from tests.helpers.chromium import Chromium, chromium, needs_chromium, wait_for
 from tests.helpers.viewed_wall import CI95, NAMES, STD_C, TRUTH, truth_c
+from tests.helpers.viewer_visit import Visit
 from tests.helpers.wall_scene import PLANE_M
 
 from rtgs.base.json_records import write_json
-from rtgs.maths.geometry import SE3
+from rtgs.maths import sh
+from rtgs.records.gaussians import Gaussians
 from rtgs.records.spots import Spot, SpotList
-from rtgs.viewer.engine import Eye
+from rtgs.run.folder import RunFolder
 from rtgs.viewer.picture import ISOTHERM
-from rtgs.viewer.session import Session
 from rtgs.viewer.start import Viewer
 
 pytestmark = [needs_chromium, pytest.mark.thorough]
 
-WIDTH, HEIGHT = 900, 640
 SPOT_M = (0.2, 0.1, PLANE_M)
+
+CLIP_BOX = "[...document.querySelectorAll('div')].filter(e => e.innerText.trim() === 'Clip box' && e.offsetParent).pop()"
+
+
+def slider_of(label: str) -> str:
+    """The track of the slider with two ends that belongs to a label."""
+    return (
+        f"(() => {{ let e = [...document.querySelectorAll('label')].find(e => e.innerText.trim() === {label!r} && e.offsetParent);"
+        " while (e && !e.querySelector('.multi-slider')) e = e.parentElement; return e && e.querySelector('.multi-slider'); })()"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,68 +54,6 @@ def viewer(wall_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     found = Viewer(wall_run, port=0, spots=spots)
     yield found
     found.stop()
-
-
-class Visit:
-    """A tab that shows the viewer, and the session that serves it."""
-
-    def __init__(self, browser: Chromium, viewer: Viewer) -> None:
-        known = set(viewer.hub.sessions)
-        self.tab: Tab = browser.tab(WIDTH, HEIGHT)
-        self.tab.call("Page.bringToFront")
-        self.tab.go(viewer.url)
-        found = wait_for(
-            lambda: next((s for k, s in viewer.hub.sessions.items() if k not in known), None), "the browser has come"
-        )
-        assert found is not None
-        self.session: Session = found
-        wait_for(lambda: "Measure" in self.tab.text(), "the panel is there")
-        self.at_rest()
-
-    def at_rest(self) -> None:
-        """The picture on the screen is that of the wish and of the camera, at full size."""
-        wait_for(lambda: self.session.settled, "the picture is drawn")
-
-    def canvas(self) -> tuple[float, float, float, float]:
-        found = self.tab.place_of("document.querySelector('canvas')")
-        assert found is not None
-        return found
-
-    def knows_the_canvas(self) -> bool:
-        """A panel that opens takes room from the canvas, and the session hears of it later."""
-        _, _, width, height = self.canvas()
-        camera = self.session.eye().camera
-        return abs(camera.width / camera.height * height / width - 1) < 0.01
-
-    def look_from(self, position_m: tuple[float, float, float]) -> None:
-        """Put the browser's camera there, facing the wall."""
-        contents = self.session.contents
-        given = SE3(np.eye(3), TRUTH * np.array(position_m))
-        self.session.fly_to(
-            Eye.of(640, 480, 0.7, contents.given_from_world.carry_inverse(given)), TRUTH * (PLANE_M - position_m[2])
-        )
-        target = contents.given_from_world.carry_inverse(given).matrix()
-        wait_for(lambda: np.allclose(self.session.eye().world_from_camera.matrix(), target, atol=1e-3), "the camera is there")
-        self.at_rest()
-
-    def pixel_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:
-        """Where a place of the run is on the page."""
-        wait_for(self.knows_the_canvas, "the session knows the canvas's shape")
-        left, top, width, height = self.canvas()
-        eye = self.session.eye()
-        place = eye.world_from_camera.inverse().apply(self.session.contents.world(np.array(position_m)))
-        x, y = eye.camera.project(place)
-        return left + float(x) / eye.camera.width * width, top + float(y) / eye.camera.height * height
-
-    def click_at(self, position_m: tuple[float, float, float]) -> None:
-        before = self.tab.html_of(".rtgs-reading")
-        self.tab.click(*self.pixel_of(position_m))
-        wait_for(lambda: self.tab.html_of(".rtgs-reading") not in ("", before), "there is another reading")
-
-    def picture(self) -> np.ndarray:
-        """What the page shows of the model."""
-        left, top, width, height = (int(v) for v in self.canvas())
-        return self.tab.screenshot()[top : top + height, left : left + width]
 
 
 @pytest.fixture(scope="module")
@@ -238,6 +188,72 @@ def test_a_picture_is_saved(visit: Visit, browser: Chromium) -> None:
     assert picture[:, : eye.width].std() > 10
 
 
+def test_cameras_stand_in_the_picture_with_their_photographs(visit: Visit) -> None:
+    visit.tab.choose("Show", "Temperature")  # which is unlike the photographs
+    visit.look_from((0.0, 0.0, -0.8))
+    bare = visit.model().astype(float)
+    visit.tab.open_tab("Photos")
+
+    def differs(from_this: np.ndarray) -> float:
+        return float((np.abs(visit.picture().astype(float) - from_this).max(axis=2) > 30).mean())
+
+    def blue() -> float:  # of the lines of the RGB cameras
+        red, _, blue = np.moveaxis(visit.picture().astype(int), 2, 0)
+        return float((blue - red > 60).mean())
+
+    without = blue()
+    visit.tab.tick("Photographs")
+    visit.tab.tick("RGB")
+    wait_for(lambda: blue() > without + 5e-3, "the cameras are there")
+    lines = differs(bare)
+    assert lines < 0.2
+    visit.tab.tick("Photographs")
+    wait_for(lambda: differs(bare) > 2 * lines, "the cameras hold their photographs")
+    visit.tab.tick("RGB")
+    wait_for(lambda: differs(bare) < 1e-3, "the cameras have gone")
+
+
+def test_a_clip_box_hides_what_is_outside(visit: Visit) -> None:
+    visit.look_from((0.0, 0.0, 0.0))
+    visit.tab.open_tab("View")
+    visit.tab.press(CLIP_BOX, "the folder of the clip box")
+    whole = visit.model().astype(float)
+
+    def changed() -> np.ndarray:
+        """Of the columns of the picture, which have changed."""
+        share: np.ndarray = (np.abs(visit.picture().astype(float) - whole).max(axis=2) > 20).mean(axis=0)
+        return share > 0.5
+
+    visit.tab.tick("Clip")
+    wait_for(lambda: visit.session.wish.clip, "the box clips")
+    visit.model()
+    assert changed().mean() < 0.01  # the widest box cuts nothing
+    slider = visit.tab.place_of(slider_of("x, %"))
+    assert slider is not None
+    left, top, width, height = slider
+    visit.tab.drag((left + 1, top + height / 2), (left + width / 2, top + height / 2))
+    wait_for(lambda: 0.3 < changed().mean() < 0.7, "half of the wall is hidden")
+    columns = np.flatnonzero(changed())
+    assert columns[-1] - columns[0] < 1.1 * len(columns)  # one side of it
+    visit.tab.tick("Clip")
+    wait_for(lambda: changed().mean() < 0.01, "the wall is whole again")
+
+
+def test_a_turntable_is_filmed(visit: Visit, browser: Chromium) -> None:
+    visit.tab.choose("Show", "RGB")
+    visit.look_from((0.0, 0.0, 0.0))
+    visit.tab.open_tab("Save")
+    visit.tab.fill("Seconds", "1")
+    visit.tab.press_button("Save a turntable")
+    file = browser.folder / "run-turntable.mp4"
+    wait_for(file.exists, "the film is there")
+    film = cv2.VideoCapture(str(file))
+    pictures = [picture for found, picture in (film.read() for _ in range(100)) if found]
+    assert len(pictures) == 24
+    assert pictures[0].std() > 3  # of the wall
+    assert np.abs(pictures[6].astype(float) - pictures[0]).mean() > 3  # it turns
+
+
 def test_nothing_is_asked_of_others_and_the_console_is_silent(visit: Visit, viewer: Viewer) -> None:
     """After all that the tests above have done with the page."""
     assert visit.tab.errors == []
@@ -287,3 +303,30 @@ def test_a_run_that_goes_on(browser: Chromium, run: Path, tmp_path: Path) -> Non
         assert visit.tab.errors == []
     finally:
         viewer.stop()
+
+
+def test_a_training_that_goes_on_is_followed(browser: Chromium, run: Path) -> None:
+    """Without a model at first; then with what the training has so far, and with what it has later."""
+    wall = RunFolder(run).read_rgb().gaussians
+    for name in ("rgb.json", "rgb.ply", "thermal.json", "thermal.ply"):
+        (run / name).unlink()
+    viewer = Viewer(run, port=0)
+    try:
+        visit = Visit(browser, viewer)
+        assert "There is no RGB model yet" in visit.tab.text()
+        write_snapshot(run, wall, 0.05)
+        wait_for(lambda: "this is how far it has come" in visit.tab.text(), "a snapshot is shown")
+        wait_for(lambda: visit.session.settled and visit.picture().mean() < 60, "it is dark")
+        write_snapshot(run, wall, 0.9)
+        wait_for(lambda: visit.session.settled and visit.picture().mean() > 150, "it has become bright")
+        assert visit.tab.errors == []
+    finally:
+        viewer.stop()
+
+
+def write_snapshot(run: Path, wall: Gaussians, brightness: float) -> None:
+    """The state of a training whose model is a wall of one gray."""
+    gray = replace(wall, sh=torch.full_like(wall.sh, (brightness - 0.5) / sh.C0))
+    state = {"gaussians": {"parameters": gray.tensors()}, "frames": {"parameters": {"background": torch.zeros(3)}}}
+    torch.save(state, run / "snapshot")
+    (run / "snapshot").replace(RunFolder(run).checkpoint)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from tests.helpers.viewed_wall import NAMES
 
 from rtgs.base.errors import RtgsError
+from rtgs.base.json_records import write_json
+from rtgs.records.spots import SpotList
 from rtgs.run.folder import RunFolder
-from rtgs.viewer.contents import PARTS, Contents, read_contents
+from rtgs.viewer.contents import PARTS, Contents, read_contents, with_spots
 from rtgs.viewer.start import Viewer
 
 
@@ -78,6 +81,27 @@ def test_a_message_goes_once_the_file_is_whole(run: Path) -> None:
     (run / "thermal.json").write_bytes(whole)
     after = read_contents(run, before=before)
     assert after.thermal is not None and not after.messages
+
+
+@pytest.mark.parametrize("change", [{"length_unit": "SfM units"}, {"unit": "counts"}])
+def test_a_list_of_spots_in_other_units_is_not_shown(run: Path, tmp_path: Path, change: dict[str, str]) -> None:
+    """It was made before a length or degrees were known. It is read as soon as it fits."""
+    spots, fits = tmp_path / "spots.json", SpotList((), "°C", "made up")
+    write_json(spots, replace(fits, **change))  # type: ignore[arg-type]
+    before = read_contents(run, spots)
+    assert before.spots is None and "Make the list again" in before.messages["spots"]
+    write_json(spots, fits)
+    after = read_contents(run, spots, before)
+    assert after.spots == fits and not after.messages
+
+
+@pytest.mark.parametrize("name", ["scale.json", "thermal.json"])
+def test_a_list_that_was_found_here_goes_with_what_it_was_found_in(run: Path, name: str) -> None:
+    fits = SpotList((), "°C", "made up")
+    before = with_spots(read_contents(run), fits)
+    assert read_contents(run, before=before).spots == fits
+    (run / name).write_bytes((run / name).read_bytes() + b"\n")
+    assert read_contents(run, before=before).spots is None
 
 
 def test_what_is_up_is_what_the_cameras_had_above_them(contents: Contents) -> None:

@@ -121,7 +121,8 @@ def read_contents(run: Path, spots: Path | None = None, before: Contents | None 
         before: what an earlier call gave. Parts whose files are the same are taken over.
     """
     folder, before = RunFolder(run), before or Contents(run)
-    marks = {part: _mark(run, names) for part, names in PARTS.items()} | {"spots": _mark(Path(), [str(spots)] if spots else [])}
+    marks = {part: _mark(run, names) for part, names in PARTS.items()}
+    marks["spots"] = _mark(Path(), [str(spots)] if spots else []) + marks["scale"] + marks["thermal"]
     messages: dict[str, str] = {}
 
     def part(name: str, read: Callable[[], Any]) -> Any:
@@ -138,7 +139,7 @@ def read_contents(run: Path, spots: Path | None = None, before: Contents | None 
     rgb = part("rgb", lambda: _rgb(folder))
     thermal = part("thermal", lambda: _existing(run / "thermal.json", "There is no thermal model yet.", folder.read_thermal))
     scene = part("scene", lambda: _existing(run / "scene", "The cameras' poses are not known yet.", folder.load_scene))
-    found = part("spots", lambda: None if spots is None else read_record(SpotList, spots))
+    found = part("spots", lambda: None if spots is None else _spots(spots, run, scale, thermal))
     given, message = attempt(lambda: folder.given_from_world)
     if message:
         messages.setdefault("scene", message)
@@ -151,7 +152,7 @@ def read_contents(run: Path, spots: Path | None = None, before: Contents | None 
         rgb=rgb,
         thermal=thermal,
         scale=scale,
-        spots=found if spots is not None else before.spots,
+        spots=found,
         growing=growing,
         given_from_world=given or Sim3.identity(),
         messages=messages,
@@ -173,6 +174,19 @@ def _existing(path: Path, otherwise: str, read: Callable[[], T]) -> T:
     if not path.exists():
         raise RtgsError(otherwise)
     return read()
+
+
+def _spots(path: Path, run: Path, scale: ScaleEstimate | None, thermal: ThermalModel | None) -> SpotList:
+    """A list that fits the run: made before metres or degrees were known, it would mark other places and temperatures."""
+    found = read_record(SpotList, path)
+    length = "SfM units" if scale is None else scale.length_unit
+    for what, theirs, ours in (("lengths", found.length_unit, length), ("temperatures", found.unit, thermal and thermal.unit)):
+        if ours is not None and theirs != ours:
+            raise RtgsError(
+                f"{path}: its {what} are in {theirs}, those of the run in {ours}. "
+                f"Make the list again: rtgs spots {run} --out {path.parent}"
+            )
+    return found
 
 
 def _rgb(folder: RunFolder) -> RgbModel:
