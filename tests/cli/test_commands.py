@@ -208,7 +208,7 @@ def test_synth_and_its_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert code_of(["synth", "--out", str(tmp_path), *arguments]) == 2  # holds something else
     assert "capture" in errors(capsys)
     assert code_of(["synth", "--out", str(tmp_path / "b"), "--gain-jitter", "2"]) == 2
-    assert "gain_jitter" in errors(capsys)
+    assert "--gain-jitter" in errors(capsys)
 
 
 def test_saved_settings_are_found_wherever_the_run_stands(tmp_path: Path) -> None:

@@ -86,3 +86,18 @@ def test_completion_is_printed() -> None:
         [sys.executable, "-m", "rtgs", "--tyro-print-completion", "bash"], capture_output=True, text=True, check=True
     )
     assert "complete" in done.stdout and "thermal" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["spots", "RUN", "--out", "O", "--percentile", "200"], "--percentile is 200.0"),
+        (["run", "CAPTURE", "--out", "O", "--scale.steps=0"], "--scale.steps is 0"),
+        (["rgb", "RUN", "--densify.every", "0"], "--densify.every is 0"),
+    ],
+)
+def test_a_number_out_of_range_is_named_as_it_was_typed(
+    arguments: list[str], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ended(arguments) == 2
+    assert f"error: {named}; it is at least" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from tests.helpers.inspection_pages import report_of, write_spots
 from tests.helpers.made_up_run import make_run
 from tests.helpers.tiny_run import recorded
 
+from rtgs.base.events import WarningLine
 from rtgs.run.inspection import read_facts
 
 
@@ -35,3 +36,12 @@ def test_what_belongs_to_the_other_template_is_refused(tmp_path: Path, capsys: p
     assert "--pdf: belongs to the inspection report" in capsys.readouterr().err
     assert recorded(["report", str(run), "--template", "inspection", "--facts", str(tmp_path / "absent.json")])[1] == 2
     assert "--write-facts" in capsys.readouterr().err and not (run / "inspection.html").exists()
+
+
+def test_what_a_run_lacks_is_said_and_the_report_is_written(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    (run / "scale.json").unlink(missing_ok=True)
+    recorder, code = recorded(["report", str(run)])
+    assert code == 0 and (run / "report.html").is_file()
+    warning = next(event.text for event in recorder.events if isinstance(event, WarningLine))
+    assert "scale.json" in warning and "rtgs run" in warning and f"--out {run}" in warning

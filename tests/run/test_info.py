@@ -54,6 +54,13 @@ def test_a_run_says_what_has_been_removed_from_it(run: Path) -> None:
     assert describe(run)["files missing"] == ["thermal.ply"]
 
 
+def test_every_json_file_of_a_run_has_a_name(run: Path) -> None:
+    kinds = {path.relative_to(run).as_posix(): describe(path)["kind"] for path in run.rglob("*.json")}
+    assert len(kinds) > 5 and "JSON file" not in kinds.values(), kinds
+    assert "thermal" in describe(run / "config.json")["settings of"]
+    assert {"sfm", "evaluate"} <= set(describe(run / "stages.json")["stages done"])
+
+
 def test_pictures_of_a_run_are_no_capture(run: Path) -> None:
     with pytest.raises(RtgsError, match="none of what rtgs knows"):
         describe(run / "renders")

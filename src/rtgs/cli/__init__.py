@@ -25,6 +25,7 @@ from rtgs.cli.overview import text_of
 from rtgs.cli.signals import Terminated, sigterm_as_ctrl_c, stop_behind
 from rtgs.cli.table import FROM_RUN, all_commands, calibrate_commands, experiment_commands
 from rtgs.cli.terminal import Terminal
+from rtgs.config.ranges import SettingError
 
 _ABOUT = "From synchronised RGB and thermal photographs to one metric 3D Gaussian model that renders both."
 _ABOUT_CALIBRATE = "A rig from pictures of a board, or from a run that found it."
@@ -72,7 +73,9 @@ def _command(arguments: Sequence[str], listener: Listener | None) -> None:
             raise
         if manners.debug:
             traceback.print_exception(error)
-        if isinstance(error, RtgsError):
+        if isinstance(error, SettingError):
+            _complain(f"{_flag(error.name, arguments)} {error.text}")
+        elif isinstance(error, RtgsError):
             _complain(str(error))
         elif isinstance(error, UnicodeEncodeError):
             name = error.object[max(error.start - 60, 0) : error.end + 60]
@@ -103,6 +106,14 @@ def _run(arguments: Sequence[str], listener: Listener, manners: Manners) -> None
         if arguments and arguments[0] not in (*table, "-h", "--help"):
             arguments = [FROM_RUN, *arguments]
     tyro.extras.subcommand_cli_from_dict(table, prog=prog, description=about, args=arguments or ["--help"])
+
+
+def _flag(setting: str, arguments: Sequence[str]) -> str:
+    """The flag of a setting where it was typed, with or without the names of its groups; else the setting's name."""
+    typed = {argument.split("=")[0].replace("_", "-") for argument in arguments}
+    parts = setting.replace("_", "-").split(".")
+    flags = ("--" + ".".join(parts[k:]) for k in range(len(parts)))
+    return next((flag for flag in flags if flag in typed), setting)
 
 
 def _complain(text: str) -> None:

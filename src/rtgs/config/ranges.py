@@ -19,6 +19,15 @@ import tyro
 
 from rtgs.base.errors import RtgsError
 
+
+class SettingError(RtgsError):
+    """A setting is out of its range. `name`: of the setting, as in "scale.steps"."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(f"{name} {text}")
+        self.name, self.text = name, text
+
+
 _Argument: Any = type(tyro.conf.arg())  # what tyro looks for beside a type
 
 
@@ -68,14 +77,14 @@ def check_ranges(settings: Any, where: str = "") -> None:
         where: the stage, for the message.
 
     Raises:
-        RtgsError: a number is out of its range.
+        SettingError: a number is out of its range.
     """
     for name, allowed in ranges_of(settings.__class__).items():
         for i, value in enumerate(_numbers(getattr(settings, name))):
             expected = allowed.then if allowed.then and i % 2 else allowed
             if not expected.holds(value):
                 field = f"{where}.{name}" if where else name
-                raise RtgsError(f"{field} is {value!s:.60}; it is {expected}.")
+                raise SettingError(field, f"is {value!s:.60}; it is {expected}.")
 
 
 @cache

@@ -49,9 +49,9 @@ def export(folder: RunFolder, scene: Scene, out: Path, settings: ExportConfig, l
         frame = subject.frame(chosen.axes, fixed=not chosen.program_decides)
         with long_work(listener, name, f"export {name}") as progress:
             paths = chosen.write(subject, frame, out, progress)
-        written += paths
-        for path in paths:
+        for path in (path for path in paths if path not in written):  # formats share a legend
             listener(ResultLine(f"wrote {path}"))
+            written.append(path)
         listener(ResultLine(f"  {name}: {_frame_in_words(frame)}"))
         if chosen.cannot_hold:
             listener(ResultLine(f"  {name} cannot hold {chosen.cannot_hold}"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -27,7 +27,7 @@ from rtgs.records.rig import Rig
 from rtgs.run.config_file import is_run
 from rtgs.run.folder import RunFolder
 from rtgs.run.records import CaptureSummary
-from rtgs.run.stages import STAGES
+from rtgs.run.stages import not_made
 from rtgs.scale import ScaleEstimate
 
 Facts: TypeAlias = dict[str, Any]
@@ -70,9 +70,7 @@ def _run(path: Path) -> Facts:
     saved = folder.read_config()
     facts: Facts = {"capture": str(saved.capture), "version": saved.version}
     facts["stages done"] = [name for name, entry in folder.entries().items() if entry.fingerprint]
-    facts["files missing"] = [
-        made for stage in STAGES if stage.name in facts["stages done"] for made in stage.makes if not (path / made).exists()
-    ]
+    facts["files missing"] = [file for name, files in not_made(path).items() if name in facts["stages done"] for file in files]
     facts["stages begun"] = [name for name, entry in folder.entries().items() if entry.begun]
     if (path / "capture_summary.json").exists():
         summary = CaptureSummary.read(path / "capture_summary.json")
@@ -197,6 +195,19 @@ def _transforms(path: Path) -> Facts:
     }
 
 
+def _settings(path: Path) -> Facts:
+    saved = RunFolder(path.parent).read_config()
+    return {"capture": str(saved.capture), "version": saved.version, "settings of": [f.name for f in fields(saved.config)]}
+
+
+def _stages(path: Path) -> Facts:
+    entries = RunFolder(path.parent).entries()
+    return {
+        "stages done": [name for name, entry in entries.items() if entry.fingerprint],
+        "stages begun": [name for name, entry in entries.items() if entry.begun],
+    }
+
+
 def _json(path: Path) -> Facts:
     data = read_json(path)
     return {"keys": list(data)} if isinstance(data, dict) else {"holds": type(data).__name__, "entries": len(data)}
@@ -258,6 +269,19 @@ def _is_capture(path: Path) -> bool:
     return _has("rig.json", "rgb")(path) and not is_run(path.parent)
 
 
+_OTHERS = {
+    "capture_summary.json": "summary of a capture",
+    "failures.json": "frames without a pose, with the reasons",
+    "hashes.json": "content of a capture's files",
+    "rgb.json": "RGB model, beside rgb.ply",
+    "thermal.json": "thermal model, beside thermal.ply",
+    "thermal_naive.json": "thermal model at scale 1, beside thermal_naive.ply",
+    "world.json": "world of a run, in the frame of the poses",
+    "georeference.json": "place on the Earth",
+    "ground_truth.json": "truth of a synthetic capture",
+}
+"""Other JSON files that rtgs writes."""
+
 KINDS: Sequence[Kind] = (
     Kind("run folder", is_run, _run),
     Kind("COLMAP model", _has("cameras.bin", "cameras.txt"), _colmap),
@@ -267,6 +291,9 @@ KINDS: Sequence[Kind] = (
     Kind("rig", _named("rig.json"), _rig),
     Kind("list of spots", _named("spots.json"), _spots),
     Kind("poses of nerfstudio", _named("transforms.json", "transforms_thermal.json"), _transforms),
+    Kind("settings of a run", _named("config.json"), _settings),
+    Kind("stages of a run", _named("stages.json"), _stages),
+    *(Kind(name, _named(file), _json) for file, name in _OTHERS.items()),
     Kind("JSON file", _ends(".json"), _json),
     Kind("PLY", _ends(".ply"), _ply),
     Kind("picture", _ends(*_PICTURES), _picture),

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from rtgs.base.events import ModelSnapshot
@@ -238,6 +239,12 @@ STAGES: tuple[Stage, ...] = (
 
 TITLES: dict[str, str] = {name: title for s in STAGES for name, title in {s.name: s.title, **s.parts}.items()}
 """Titles of all pieces of work of a run, in their order."""
+
+
+def not_made(run: Path) -> dict[StageName, list[str]]:
+    """What each stage leaves in a run folder and is not there; stages without such are left out."""
+    found = {stage.name: [made for made in stage.makes if not (run / made).exists()] for stage in STAGES}
+    return {name: files for name, files in found.items() if files}
 
 
 def fingerprints(content: Content, config: RunConfig, stages: Sequence[Stage] = STAGES) -> dict[StageName, str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from rtgs.base.errors import RtgsError
-from rtgs.base.events import ResultLine, long_work
+from rtgs.base.events import ResultLine, WarningLine, long_work
 from rtgs.cli.options import Folder, Hidden
 
 
@@ -59,9 +59,14 @@ def report(
 def _technical(run: Path, listener: Hidden, given: dict[str, object]) -> None:
     from rtgs.run.config_file import check_run
     from rtgs.run.report import write_report
+    from rtgs.run.report.run_records import RunRecords
+    from rtgs.run.stages import not_made
 
     check_run(run)
     named = [flag for flag, value in given.items() if value not in (None, False)]
     if named:
         raise RtgsError(f"{named[0]}: belongs to the inspection report; add `--template inspection`.")
     listener(ResultLine(f"report: {write_report(run)}"))
+    missing = [file for files in not_made(run).values() for file in files]
+    if missing:
+        listener(WarningLine(f"{run}: has no {', '.join(missing)}. `{RunRecords.read(run).command}` makes what is missing."))
