@@ -55,6 +55,10 @@ PAGES = {
             "table_ablation.md",
         ),
         Page("refinement", 'python benchmarks/refine_scale.py --out {out} --seeds 5 --rows "focal 2,direction"'),
+        Page(
+            "uncalibrated",
+            "python benchmarks/uncalibrated.py --out {out} --scenes room,lego,materials,chair --run {run} --focal 726.5,764.7,802.9",
+        ),
         Page("interval-coverage", "python benchmarks/scale_coverage.py --out {out}"),
         Page("scale-verdict", "python benchmarks/scale_verdict.py --out {out}"),
         Page("imported-model", "python benchmarks/imported_model.py --out {out}"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.helpers.made_up_run import estimate, make_run, page_of
-from tests.helpers.tiny_run import recorded
+from tests.helpers.tiny_run import THERMAL_FLAGS, flags, recorded
 
 from rtgs.metres.combine import combine
 from rtgs.records.metres import MetresSource
@@ -51,6 +51,21 @@ def test_a_found_baseline_of_known_length_tells_metres_unless_in_doubt() -> None
     known = replace(estimate(), calibration=replace(NEAR, baseline_m=0.2))
     assert known.metres_per_sfm == 1 / known.sfm_per_metre
     assert replace(known, status="unobservable", ci95=None, reason="two places fit").metres_per_sfm is None
+
+
+def test_a_control_at_scale_1_needs_a_length_and_a_direction() -> None:
+    """One SfM unit for a metre says nothing of a baseline that is not in metres, or that points nowhere."""
+    assert estimate().no_control == ""
+    assert "how long the baseline is" in without(NEAR).no_control
+    assert replace(without(NEAR), baseline_m=0.2).no_control == ""
+    assert "direction" in replace(without(FAR), baseline_m=0.2).no_control
+
+
+def test_the_report_says_why_there_is_no_control(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    assert "control at scale 1 is left out" not in page_of(run).text
+    RunFolder(run).write_scale(without(NEAR))
+    assert "control at scale 1 is left out" in page_of(run).text
 
 
 def test_the_report_claims_no_metres(tmp_path: Path) -> None:
@@ -105,6 +120,19 @@ def test_everything_that_leaves_a_run_works_in_sfm_units(run: Path, tmp_path: Pa
     assert command("render", "--out", str(tmp_path / "views"), "--frames", "frame_001")[0] == 0
     contents = read_contents(run)
     assert contents.length_unit == "SfM units" and contents.world_per_unit == 1 / contents.given_from_world.factor
+
+
+@pytest.mark.thorough
+def test_no_control_is_fitted_where_it_would_mean_nothing(run: Path) -> None:
+    folder = RunFolder(run)
+    assert (run / "thermal_naive.ply").exists()
+    folder.write_scale(without(NEAR, of=replace(folder.read_scale(), refinement=None)))
+    recorder, code = recorded(["thermal", str(run), *flags(THERMAL_FLAGS)])
+    assert code == 0 and recorder.works == ["thermal"]
+    assert "the control at scale 1 is left out" in " ".join(str(event) for event in recorder.events)
+    assert not list(run.glob("thermal_naive*"))
+    assert recorded(["eval", str(run)])[1] == 0
+    assert "thermal_naive" not in json.loads((run / "metrics.json").read_text())
 
 
 @pytest.mark.thorough

@@ -44,6 +44,35 @@ def test_a_step_of_one_moves_the_picture_by_about_a_pixel() -> None:
         assert 0.2 < np.percentile(shift, 90) < 2.0
 
 
+def test_losses_alone_are_those_with_derivatives() -> None:
+    loss, true = of_spiral()
+    here = true.moved(loss.units * np.array([1.0, 0.0, 0.5, 0.8, 0.0, 0.5, 0.7]))
+    for halved in (0, 1):
+        np.testing.assert_allclose(loss.losses(halved, [1, 3], here), loss.evaluate(halved, [1, 3], here).losses, atol=1e-6)
+
+
+def test_a_motion_that_is_taken_back_leaves_the_rig_as_it_was() -> None:
+    loss, true = of_spiral()
+    motion = FreeRig(np.eye(3), np.zeros(3), 0.0).moved(loss.units * np.array([3.0, -2.0, 1.0, 4.0, 1.0, -2.0, 5.0]))
+    pose = true.rgb_from_thermal @ motion.rgb_from_thermal  # the thermal camera moved in its own axes
+    back = FreeRig(pose.rotation, pose.translation, true.log_zoom + motion.log_zoom).without(motion)
+    np.testing.assert_allclose(back.rotation, true.rotation, atol=1e-12)
+    np.testing.assert_allclose(back.translation, true.translation, atol=1e-12)
+    assert back.log_zoom == pytest.approx(true.log_zoom, abs=1e-12)
+
+
+@pytest.mark.thorough
+def test_a_descent_goes_on_with_the_curvature_of_another() -> None:
+    loss, true = of_spiral()
+    start = true.moved(loss.units * np.array([1.0, -1.0, 0.5, -1.0, 1.0, 0.5, 1.0]))
+    every = range(len(loss.pictures.frames))
+    before = loss.descend(0, every[::2], start, EVERYTHING)
+    assert before.curvature is not None and before.curvature.shape == (SIZE, SIZE)
+    after = loss.descend(0, every, before.rig, EVERYTHING, before.curvature)
+    assert after.loss <= loss.evaluate(0, every, before.rig).loss
+    assert np.linalg.eigvalsh(before.curvature).min() > 0
+
+
 @pytest.mark.thorough
 def test_the_way_down_leads_to_the_true_rig() -> None:
     loss, true = of_spiral()

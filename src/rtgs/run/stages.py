@@ -132,18 +132,21 @@ def _fit_temperatures(job: Job) -> None:
     from rtgs.thermal import fit_thermal, gaussian_temperatures
 
     scene, rgb, config = job.scene, job.folder.read_rgb(), job.config.thermal
-    sfm_per_metre = job.folder.read_scale().sfm_per_metre
+    scale = job.folder.read_scale()
 
     def fit(at: float, progress: Progress) -> ThermalModel:
         return fit_thermal(scene, rgb, at, config, progress=progress, memory=job.memory)
 
     with job.work("thermal", TITLES["thermal"]) as progress:
-        model = fit(sfm_per_metre, progress)
+        model = fit(scale.sfm_per_metre, progress)
         model = replace(model, temperatures=gaussian_temperatures(scene, model, progress=progress, memory=job.memory))
     job.results.write_thermal(model, scene.given_from_world)
-    with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
-        naive = fit(1.0, progress)
-    job.results.write_thermal(naive, scene.given_from_world, "thermal_naive")
+    if scale.no_control:
+        job.say(f"thermal: {scale.no_control}")
+    else:
+        with job.work("thermal_naive", TITLES["thermal_naive"]) as progress:
+            naive = fit(1.0, progress)
+        job.results.write_thermal(naive, scene.given_from_world, "thermal_naive")
     job.say(f"thermal: {len(model.gaussians):,} Gaussians with a temperature")
 
 
@@ -165,7 +168,8 @@ def _score_held_out_views(job: Job) -> None:
     from rtgs.run.summary import metric_lines
 
     folder, scene = job.folder, job.scene
-    rgb, thermal, naive = folder.read_rgb(), folder.read_thermal(), folder.read_thermal("thermal_naive")
+    rgb, thermal = folder.read_rgb(), folder.read_thermal()
+    naive = folder.read_thermal("thermal_naive") if (folder.path / "thermal_naive.ply").exists() else None
     networks, notes = available(["alexnet"])
     lpips = networks.get("alexnet")
     start = None if folder.read_scale().calibration is None else folder.read_scene(job.capture, refined=False)
@@ -210,8 +214,8 @@ STAGES: tuple[Stage, ...] = (
         settings=lambda config: config.thermal,
         inputs=lambda content: None,
         work=_fit_temperatures,
-        makes=("thermal.ply", "thermal.json", "thermal_naive.ply", "thermal_naive.json"),
-        may_make=("thermal_pattern.tiff", "thermal_naive_pattern.tiff"),
+        makes=("thermal.ply", "thermal.json"),
+        may_make=("thermal_naive.ply", "thermal_naive.json", "thermal_pattern.tiff", "thermal_naive_pattern.tiff"),
         sees_refined_rig=True,
         parts={"thermal_naive": "control: thermal model at scale 1"},
     ),

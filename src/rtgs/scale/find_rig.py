@@ -28,7 +28,8 @@ from rtgs.scale.checks import softness
 from rtgs.scale.comparison import Comparison
 from rtgs.scale.free_rig import EVERYTHING, SHIFT, SIZE, TURN, WITHOUT_BASELINE, ZOOM, FreeRig, FreeRigLoss, Here, Vector
 from rtgs.scale.interval import WIDEST, model_pixels
-from rtgs.scale.posterior import CALIBRATION_PIXELS, bias_of, covariance, gradient_covariance, positive
+from rtgs.scale.model_bias import model_bias
+from rtgs.scale.posterior import bias_of, covariance, gradient_covariance, positive
 from rtgs.scale.problem import Problem, usable_frames
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import FoundRig, Freedom
@@ -43,7 +44,7 @@ _CONTINUED = 2  # of the candidates after the descent without a baseline
 _BESIDE = (-4.0, -2.5, -1.25, 0.0, 1.25, 2.5, 4.0)  # pixels of the size of the search
 _HOPS = 2
 _SAME_DEG, _SAME_ZOOM = 1.0, 0.02  # two candidates that have come to the same place
-_HESSIAN_PIXELS = 0.5
+_HESSIAN_FRAMES, _HESSIAN_PIXELS = 8, 0.5
 _ASIDE_PIXELS = 8.0  # of the size of the search: there the edges must agree less
 _HOPELESS = 1.0  # standard deviation of ln of the baseline's length: its direction is not told either
 _NO_BASELINE = float(
@@ -100,18 +101,58 @@ def find_rig(
     found = _distinct([loss.descend(coarsest, search, start, WITHOUT_BASELINE) for start in starts])[:_CONTINUED]
     found = _distinct([*found, *_neighbours(loss, coarsest, search, found[0])])[:_CONTINUED]
     with_baseline = sorted((loss.descend(coarsest, some, h.rig, EVERYTHING) for h in found), key=lambda h: h.loss)
-    best, without = with_baseline[0].rig, found[0].rig
-    for halved in range(coarsest - 1, -1, -1):
-        best = loss.descend(halved, every if halved == 0 else some, best, EVERYTHING).rig
-    best, loss = _softened(problem, loss, best)
-    here = loss.evaluate(0, every, best, curvature=True)
-    for halved in range(coarsest, 0, -1):
-        without = loss.descend(halved, some, without, WITHOUT_BASELINE).rig
-    places = [loss.descend(0, every, rig, WITHOUT_BASELINE) for rig in (without, _without_baseline(best, depth))]
-    still = loss.evaluate(0, every, min(places, key=lambda h: h.loss).rig, curvature=True)
-    return _judged(
-        loss, here, still, [c.agreement for c in candidates], _rivals(with_baseline), _contrast(loss, coarsest, some, best)
+    best = with_baseline[0]
+    for halved in range(coarsest - 1, 0, -1):
+        best = loss.descend(halved, some, best.rig, EVERYTHING, best.curvature)
+    half = min(1, coarsest)
+    still = _best_without_baseline(loss, coarsest, some, (found[0].rig, _without_baseline(best.rig, depth)))
+    fine = loss.finest_only()
+    fine, here = _softened(problem, fine, _settled(fine, best.rig, EVERYTHING, best.curvature))
+    rest = _Beside(
+        losses=loss.losses(half, every, best.rig),
+        without=loss.losses(half, every, still),
+        still=still,
+        bias=model_bias(problem, depth, search),
+        agreements=tuple(c.agreement for c in candidates),
+        doubt=_rivals(with_baseline),
+        contrast=_contrast(loss, coarsest, every, here.rig),
     )
+    return _judged(fine, here, rest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """What is known beside the rig that was found.
+
+    Attributes:
+        losses, without: of the frames at half the size, `[F]`, with a baseline and without.
+        still: the best rig without a baseline.
+        bias: by how much the RGB model moves every rig. agreements: of the candidates.
+        doubt: another place that fits as well. contrast: as in `FoundRig`.
+    """
+
+    losses: Vector
+    without: Vector
+    still: FreeRig
+    bias: FreeRig
+    agreements: tuple[float, ...]
+    doubt: str
+    contrast: float
+
+
+def _settled(loss: FreeRigLoss, rig: FreeRig, free: NDArray[np.bool_], known: Vector | None = None) -> Here:
+    """Down at full size: with some of the frames, then the last of the way with all of them."""
+    every = range(len(loss.pictures.frames))
+    before = loss.descend(0, some_of(every, _DESCENT_FRAMES), rig, free, known)
+    return loss.descend(0, every, before.rig, free, before.curvature)
+
+
+def _best_without_baseline(loss: FreeRigLoss, coarsest: int, indices: Sequence[int], starts: Sequence[FreeRig]) -> FreeRig:
+    """The best place without a baseline, at half the size: from the better one of these at the coarsest size."""
+    here = min((loss.descend(coarsest, indices, rig, WITHOUT_BASELINE) for rig in starts), key=lambda h: h.loss)
+    for halved in range(coarsest - 1, 0, -1):
+        here = loss.descend(halved, indices, here.rig, WITHOUT_BASELINE, here.curvature)
+    return here.rig
 
 
 def _neighbours(loss: FreeRigLoss, halved: int, indices: Sequence[int], best: Here) -> list[Here]:
@@ -122,9 +163,7 @@ def _neighbours(loss: FreeRigLoss, halved: int, indices: Sequence[int], best: He
         for j, right in enumerate(steps):
             step = np.zeros(SIZE)
             step[0], step[1] = down, right
-            losses[i, j] = (
-                best.loss if down == right == 0 else loss.evaluate(halved, indices, best.rig.moved(step * loss.units)).loss
-            )
+            losses[i, j] = loss.losses(halved, indices, best.rig.moved(step * loss.units)).mean()
     lowest = np.argwhere(losses <= minimum_filter(losses, size=3, mode="nearest"))
     places = [(losses[i, j], steps[i], steps[j]) for i, j in lowest if steps[i] != 0 or steps[j] != 0]
     found = list[Here]()
@@ -169,7 +208,7 @@ def _contrast(loss: FreeRigLoss, halved: int, indices: Sequence[int], rig: FreeR
     """By how many standard errors the edges agree better here than with the camera turned aside, to the worst of four sides."""
 
     def losses(step: Vector) -> Vector:
-        return loss.evaluate(halved, indices, rig.moved(step)).losses
+        return loss.losses(halved, indices, rig.moved(step))
 
     centre, pixels = losses(np.zeros(SIZE)), _ASIDE_PIXELS * 2.0**halved
     found = []
@@ -181,19 +220,19 @@ def _contrast(loss: FreeRigLoss, halved: int, indices: Sequence[int], rig: FreeR
     return min(found)
 
 
-def _softened(problem: Problem, loss: FreeRigLoss, rig: FreeRig) -> tuple[FreeRig, FreeRigLoss]:
+def _softened(problem: Problem, loss: FreeRigLoss, here: Here) -> tuple[FreeRigLoss, Here]:
     """Once more at full size with renders as soft as the thermal images are, where they are softer."""
     pictures, every = loss.pictures, range(len(loss.pictures.frames))
-    length = float(np.linalg.norm(rig.translation))
+    length = float(np.linalg.norm(here.rig.translation))
     if length == 0.0:
-        return rig, loss
-    placed, s = _placed(loss, rig, 1.0)
+        return loss, here
+    placed, s = _placed(loss, here.rig, 1.0)
     scene = replace(pictures.scene, capture=replace(pictures.scene.capture, rig=placed))
     soft = softness(replace(pictures, scene=scene).objective(), every, math.log(s), problem.progress)
     if soft.blur_px == 0.0:
-        return rig, loss
+        return loss, here
     loss = replace(loss, pictures=replace(pictures, blur_px=soft.blur_px))
-    return loss.descend(0, every, rig, EVERYTHING).rig, loss
+    return loss, _settled(loss, here.rig, EVERYTHING, here.curvature)
 
 
 def _placed(loss: FreeRigLoss, rig: FreeRig, baseline: float) -> tuple[Rig, float]:
@@ -223,62 +262,70 @@ def _typical_depth(scene: Scene, model: RgbModel, names: Sequence[str], rig: Fre
 
 def _posterior(loss: FreeRigLoss, here: Here, free: NDArray[np.bool_]) -> Vector:
     """`[Q, Q]`: covariance of what was free, in pixels: the frames' scatter, and edges of the render beside those of the photograph."""
-    frames = range(len(loss.pictures.frames))
-    hessian = loss.hessian(0, some_of(frames, _DESCENT_FRAMES), here.rig, free, _HESSIAN_PIXELS)
-    typical = here.gauss_newton[np.ix_(free, free)]
+    frames = some_of(range(len(loss.pictures.frames)), _HESSIAN_FRAMES)
+    hessian = loss.hessian(0, frames, here.rig, free, _HESSIAN_PIXELS)
+    typical = loss.evaluate(0, frames, here.rig, curvature=True).gauss_newton[np.ix_(free, free)]
     typical = typical + np.diag(_ALIKE * np.diag(typical))
     curved = positive(hessian, typical)
-    std = np.full(int(free.sum()), model_pixels(loss.pictures.blur_px, CALIBRATION_PIXELS))
+    std = np.full(int(free.sum()), model_pixels(loss.pictures.blur_px))
     scatter = gradient_covariance(here.gradients[:, free]) + bias_of(curved, std)
     return covariance(curved, scatter, np.zeros_like(curved), 0.0)
 
 
-def _judged(
-    loss: FreeRigLoss, here: Here, still: Here, agreements: Sequence[float], rival: str, contrast: float
-) -> RigFromCapture:
+def _judged(loss: FreeRigLoss, here: Here, rest: _Beside) -> RigFromCapture:
     """Whether the baseline is decided, and how sure everything is."""
     scene = loss.pictures.scene
     start = scene.rig.start
     assert start is not None
-    gain = significance(still.losses - here.losses)
-    matrix = _posterior(loss, here, EVERYTHING)
-    full = matrix * np.outer(loss.units, loss.units)
-    length = float(np.linalg.norm(here.rig.translation))
-    along = here.rig.translation / max(length, 1e-30)
-    std_log = math.sqrt(float(along @ full[SHIFT, SHIFT] @ along)) / max(length, 1e-30)
-    shift = full[SHIFT, SHIFT]
-    apart = float(here.rig.translation @ np.linalg.solve(shift, here.rig.translation))
-    there = gain >= UNLIKELY and apart > _NO_BASELINE and std_log < _HOPELESS
-    decided = there and QUANTILE_95 * std_log <= WIDEST
+    gain = significance(rest.without - rest.losses)
+    full = _posterior(loss, here, EVERYTHING) * np.outer(loss.units, loss.units)
+    chosen = here.rig.without(rest.bias)
+    length = float(np.linalg.norm(chosen.translation))
+    along, shift = chosen.translation / max(length, 1e-30), full[SHIFT, SHIFT]
+    std_log = math.sqrt(float(along @ shift @ along)) / max(length, 1e-30)
+    apart = float(chosen.translation @ np.linalg.solve(shift, chosen.translation))
+    seen = gain >= UNLIKELY and apart > _NO_BASELINE and std_log < _HOPELESS
     unit = start.baseline_m or 1.0
-    if there:
-        rig, s = _placed(loss, here.rig, unit)
-        chosen = here
+    if seen:
+        rig, s = _placed(loss, chosen, unit)
     else:  # both cameras in the same place: a thousandth of a pixel apart
-        tiny = replace(still.rig, translation=1e-3 * loss.units[SHIFT] * np.array([1.0, 0.0, 0.0]))
-        rig, s = _placed(loss, tiny, unit)
-        chosen = still
-        small = _posterior(loss, still, WITHOUT_BASELINE)
-        full = np.zeros((SIZE, SIZE))
-        full[np.ix_(WITHOUT_BASELINE, WITHOUT_BASELINE)] = small * np.outer(*[loss.units[WITHOUT_BASELINE]] * 2)
-    freedoms, rows = _freedoms(loss, chosen.rig, full, there)
-    doubt = rival
-    if contrast < UNLIKELY:
+        chosen, full = _without_seen_baseline(loss, here.rig, rest.still)
+        rig, s = _placed(loss, replace(chosen, translation=1e-3 * loss.units[SHIFT] * np.array([1.0, 0.0, 0.0])), unit)
+    freedoms, rows = _freedoms(loss, chosen, full, seen)
+    doubt = rest.doubt
+    if rest.contrast < UNLIKELY:
         doubt = "no rotation within reach makes the edges agree clearly better than its neighbours do."
-    factor = scene.given_from_world.factor
     found = FoundRig(
-        baseline_decided=decided,
-        baseline_seen=there,
-        baseline_sfm=length * factor if there else None,
-        baseline_std_log=std_log if there else None,
+        baseline_decided=seen and QUANTILE_95 * std_log <= WIDEST,
+        baseline_seen=seen,
+        baseline_sfm=length * scene.given_from_world.factor if seen else None,
+        baseline_std_log=std_log if seen else None,
         baseline_m=start.baseline_m,
-        loss_without_baseline=still.loss,
-        loss=here.loss,
+        loss_without_baseline=float(rest.without.mean()),
+        loss=float(rest.losses.mean()),
         significance=gain,
-        candidates=tuple(agreements),
-        contrast=contrast,
+        candidates=rest.agreements,
+        contrast=rest.contrast,
     )
     return RigFromCapture(rig, s, found, freedoms, rows @ full @ rows.T, doubt, 0)
+
+
+def _without_seen_baseline(loss: FreeRigLoss, with_one: FreeRig, rig: FreeRig) -> tuple[FreeRig, Vector]:
+    """The rig of two cameras in the same place, and its covariance `[7, 7]`.
+
+    There may be a baseline that is not seen. As far as rotation and focal length move when one is allowed, so far they are uncertain.
+
+    Args:
+        with_one: the best rig with a baseline. rig: where to start.
+    """
+    held = np.ix_(WITHOUT_BASELINE, WITHOUT_BASELINE)
+    here = _settled(loss, rig, WITHOUT_BASELINE)
+    full = np.zeros((SIZE, SIZE))
+    full[held] = _posterior(loss, here, WITHOUT_BASELINE) * np.outer(loss.units, loss.units)[held]
+    other = np.zeros(SIZE)
+    other[TURN] = axis_angle_from_rotation(here.rig.rotation.T @ with_one.rotation)
+    other[ZOOM] = with_one.log_zoom - here.rig.log_zoom
+    return here.rig, full + np.outer(other, other)
 
 
 def _freedoms(loss: FreeRigLoss, rig: FreeRig, full: Vector, there: bool) -> tuple[tuple[Freedom, ...], Vector]:

@@ -31,7 +31,7 @@ _MOST_STEPS = 25
 _MOST_CUTS = 5
 _LONGEST = 2.0  # pixels of the size compared
 _FIRST = 0.5  # pixels: how long the first step is, since Gauss–Newton overstates the curvature
-_TOLERANCE = 0.03  # pixels of the size compared
+_TOLERANCE, _ROUGHLY = 0.03, 0.1  # pixels of the size compared: at full size, and at sizes from which a descent goes on
 _DAMPED = 0.2  # Powell's damping of BFGS
 
 
@@ -53,6 +53,11 @@ class FreeRig:
         turn = rotation_from_axis_angle(step[TURN])
         return FreeRig(self.rotation @ turn, self.translation + step[SHIFT], self.log_zoom + float(step[ZOOM]))
 
+    def without(self, motion: FreeRig) -> FreeRig:
+        """The rig of which this one is the same with the thermal camera moved so in its own axes."""
+        rotation = self.rotation @ motion.rotation.T
+        return FreeRig(rotation, self.translation - rotation @ motion.translation, self.log_zoom - motion.log_zoom)
+
     @property
     def rgb_from_thermal(self) -> SE3:
         """The transform, translation in world units."""
@@ -66,12 +71,14 @@ class Here:
     Attributes:
         losses: `[F]`. gradients: `[F, 7]`, of each frame, by the unknowns in pixels.
         gauss_newton: `[7, 7]`, mean over frames; zeros where it was not asked for.
+        curvature: `[Q, Q]`, of the mean loss among what a descent has moved, as it has come to know it; None without a descent.
     """
 
     rig: FreeRig
     losses: Vector
     gradients: Vector
     gauss_newton: Vector
+    curvature: Vector | None = None
 
     @property
     def loss(self) -> float:
@@ -105,6 +112,16 @@ class FreeRigLoss:
         units = np.array([pixel, pixel, rim, depth * pixel, depth * pixel, depth * rim, rim])
         return FreeRigLoss(pictures, camera, units, progress)
 
+    def finest_only(self) -> FreeRigLoss:
+        """With pictures of full size compared by their finest level alone (Eq. 6), and not per edge.
+
+        Soft edges are pulled aside by their neighbours, which differ between the modalities: at coarser levels more than at the finest.
+        """
+        pictures = self.pictures
+        return replace(
+            self, pictures=replace(pictures, level_weights=(1.0,), comparison=replace(pictures.comparison, per_edge=False))
+        )
+
     def thermal_camera(self, rig: FreeRig) -> Camera:
         """As zoomed."""
         zoom = math.exp(rig.log_zoom)
@@ -122,13 +139,26 @@ class FreeRigLoss:
         objective, camera, directions = self.pictures.objective(halved), self.thermal_camera(rig), self.directions(rig)
         found = []
         for i in indices:
-            pose = self.pictures.scene.world_from_rgb[self.pictures.frames[i].name] @ rig.rgb_from_thermal
-            found.append(objective.products(i, camera, pose.inverse(), directions, curvature=curvature))
+            found.append(objective.products(i, camera, self._pose(i, rig), directions, curvature=curvature))
             self.progress("rig")
         gauss_newton = np.mean([p.curvature for p in found], axis=0) if curvature else np.zeros((SIZE, SIZE))
         return Here(rig, np.array([p.loss for p in found]), np.array([p.slope for p in found]), gauss_newton)
 
-    def descend(self, halved: int, indices: Sequence[int], rig: FreeRig, free: NDArray[np.bool_]) -> Here:
+    def losses(self, halved: int, indices: Sequence[int], rig: FreeRig) -> Vector:
+        """`[F]`: losses of frames alone, in a third of the time of `evaluate`."""
+        objective, camera, found = self.pictures.objective(halved), self.thermal_camera(rig), []
+        for i in indices:
+            found.append(objective.loss_seen_by(i, camera, self._pose(i, rig)))
+            self.progress("rig")
+        return np.array(found)
+
+    def _pose(self, index: int, rig: FreeRig) -> SE3:
+        """`camera_from_world` of a frame's thermal camera."""
+        return (self.pictures.scene.world_from_rgb[self.pictures.frames[index].name] @ rig.rgb_from_thermal).inverse()
+
+    def descend(
+        self, halved: int, indices: Sequence[int], rig: FreeRig, free: NDArray[np.bool_], known: Vector | None = None
+    ) -> Here:
         """Down the mean loss by BFGS, beginning with the Gauss–Newton matrix.
 
         That matrix overstates the curvature, a hundredfold on a noisy sensor. The first step is therefore half a pixel long, and the
@@ -136,18 +166,21 @@ class FreeRigLoss:
 
         Args:
             free: `[7]`, which unknowns move.
+            known: `[Q, Q]`, the curvature that another descent has come to, in place of the Gauss–Newton matrix. Its scale may be wrong.
         """
-        pixel = 2.0**halved
-        here = self.evaluate(halved, indices, rig, curvature=True)
-        curvature = here.gauss_newton[np.ix_(free, free)]
-        curvature = curvature + np.diag(1e-3 * np.diag(curvature) + 1e-9 * max(float(np.diag(curvature).max()), 1e-12))
-        first = True
+        pixel, first = 2.0**halved, True
+        here = self.evaluate(halved, indices, rig, curvature=known is None)
+        if known is None:
+            curvature = here.gauss_newton[np.ix_(free, free)]
+            curvature = curvature + np.diag(1e-3 * np.diag(curvature) + 1e-9 * max(float(np.diag(curvature).max()), 1e-12))
+        else:
+            curvature = known
         for _ in range(_MOST_STEPS):
             slope = here.gradient[free]
             if not slope.any():
                 break
             step: Vector = np.asarray(-np.linalg.solve(curvature, slope), np.float64)
-            if first and (stretch := _FIRST * pixel / float(np.abs(step).max())) > 1:
+            if first and known is None and (stretch := _FIRST * pixel / float(np.abs(step).max())) > 1:
                 step, curvature = stretch * step, curvature / stretch
             longest = (_FIRST if first else _LONGEST) * pixel
             step *= min(1.0, longest / float(np.abs(step).max()))
@@ -161,9 +194,9 @@ class FreeRigLoss:
             if there.loss >= here.loss:
                 break
             here, rig = there, there.rig
-            if float(np.abs(step).max()) < _TOLERANCE * pixel:
+            if float(np.abs(step).max()) < (_ROUGHLY if halved else _TOLERANCE) * pixel:
                 break
-        return here
+        return replace(here, curvature=curvature)
 
     def hessian(self, halved: int, indices: Sequence[int], rig: FreeRig, free: NDArray[np.bool_], pixels: float) -> Vector:
         """`[Q, Q]`: of the mean loss among what is free, by central differences of the gradient, so many pixels to either side."""
@@ -185,7 +218,7 @@ def _updated(matrix: Vector, step: Vector, change: Vector, *, rescale: bool) -> 
     """The curvature after a step along which the slope has changed so: BFGS, damped so that it stays positive."""
     along = float(step @ change)
     if rescale and along > 0:
-        matrix = matrix * float(np.clip(along / (step @ matrix @ step), 0.02, 1.0))
+        matrix = matrix * float(np.clip(along / (step @ matrix @ step), 0.02, 50.0))
     moved = matrix @ step
     expected = float(step @ moved)
     share = 1.0 if along >= _DAMPED * expected else (1 - _DAMPED) * expected / (expected - along)

@@ -104,6 +104,12 @@ class Objective:
         seen = self._with_tangents(camera.reduced(self.reduction), pose, small)
         return self._target(index).products(*seen, curvature=curvature)
 
+    def loss_seen_by(self, index: int, camera: Camera, camera_from_world: SE3) -> float:
+        """Eq. 7 for one frame seen by another thermal camera (given at full size) from another place."""
+        with torch.no_grad():
+            sharp = self._drawn(camera.reduced(self.reduction), camera_from_world.to_torch(torch.float64))
+            return self._target(index).loss(self.edge_loss.softened(sharp[None])[0])
+
     def picture(self, index: int, theta: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Gray picture `[h, w]` and its derivative by θ, for other losses than Eq. 7."""
         gray, rates = self._along_scale(index, theta)
@@ -178,7 +184,10 @@ class Objective:
         return (self._world_from_rgb[index] @ self._rgb_from_thermal.with_baseline_scaled(per_metre)).inverse()  # Eq. 1
 
     def _sharp(self, index: int, theta: Tensor) -> Tensor:
-        view = render(self.model.gaussians, self._camera, self._pose(index, theta), settings=self._settings)
+        return self._drawn(self._camera, self._pose(index, theta))
+
+    def _drawn(self, camera: Camera, camera_from_world: SE3) -> Tensor:
+        view = render(self.model.gaussians, camera, camera_from_world, settings=self._settings)
         return view.color[..., 0] + (1.0 - view.alpha) * self._background
 
     def _along_scale(self, index: int, theta: float) -> tuple[Tensor, Tensor]:

@@ -266,6 +266,22 @@ class ScaleEstimate:
         )
 
     @property
+    def no_control(self) -> str:
+        """Why no thermal model at `sfm_per_metre` = 1 can be a control of this one; empty where it can.
+
+        Of a rig that was found, the baseline may have no direction, or no length in metres.
+        """
+        if self.calibration is None:
+            return ""
+        if not self.calibration.baseline_seen:
+            return "the control at scale 1 is left out: the images do not tell in which direction the baseline points."
+        return (
+            ""
+            if self.baseline_m is not None
+            else "the control at scale 1 is left out: rig.json does not say how long the baseline is."
+        )
+
+    @property
     def unit_per_sfm(self) -> float:
         """What lengths in SfM units are multiplied by to be in `length_unit`."""
         return 1.0 if self.metres_per_sfm is None else self.metres_per_sfm

@@ -117,7 +117,7 @@ class _Grid:
         gray = (view.color[..., 0] + (1.0 - view.alpha) * to_gray(model.background)).numpy().astype(np.float32)
         return _read(gray, self.wide, self.rays)[0]
 
-    def spectra(self, planes: Sequence[NDArray[np.float64]]) -> list[NDArray[np.complex128]]:
+    def spectra(self, planes: Sequence[Picture]) -> list[NDArray[np.complex64]]:
         return [fft.rfft2(plane, (self.padded, self.padded)) for plane in planes]
 
 
@@ -136,12 +136,12 @@ def _read(image: Picture, camera: Camera, rays: NDArray[np.float64]) -> tuple[Pi
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32), seen
 
 
-def _normals(image: Picture, valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _normals(image: Picture, valid: NDArray[np.bool_]) -> NDArray[np.float32]:
     """`[2, n, n]`: the gradient over √(its square + ε²), zero where it is not valid."""
-    gradient = np.stack([cv2.Sobel(image, cv2.CV_64F, *d, ksize=3) / 8 for d in ((1, 0), (0, 1))])
+    gradient = np.stack([cv2.Sobel(image, cv2.CV_32F, *d, ksize=3) / np.float32(8) for d in ((1, 0), (0, 1))])
     size = np.hypot(*gradient)
     epsilon = max(_EDGE * float(size[valid].mean()) if valid.any() else 0.0, 1e-9)
-    return np.asarray(valid * gradient / np.hypot(size, epsilon))
+    return np.asarray(valid * gradient / np.hypot(size, np.float32(epsilon)), np.float32)
 
 
 def _agreement(
@@ -171,7 +171,7 @@ def _agreement(
             seen &= _read(mask, zoomed, rays)[0] > 0.999
             inner = cv2.erode(seen.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
             bx, by = _normals(image, inner)
-            moved = [s.conj() for s in grid.spectra([bx * bx, bx * by, by * by, inner.astype(np.float64)])]
+            moved = [s.conj() for s in grid.spectra([bx * bx, bx * by, by * by, inner.astype(np.float32)])]
             same = fft.irfft2(held[0] * moved[0] + 2 * held[1] * moved[1] + held[2] * moved[2], (grid.padded,) * 2)
             strength = fft.irfft2(held[3] * moved[3], (grid.padded,) * 2)
             count = max(int(inner.sum()), 1)

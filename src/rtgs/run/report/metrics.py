@@ -53,6 +53,8 @@ def _notes(run: RunRecords, evaluation: Evaluation, columns: list[str]) -> list[
         )
     if "lpips" in columns:
         note += " LPIPS (AlexNet): how different two pictures look, 0 for equal ones."
+    if run.scale is not None and run.scale.no_control:
+        note += f" {html.escape(run.scale.no_control.capitalize())}"
     command = html.escape(f"rtgs eval {shlex.quote(str(run.path))}")
     return [note, *(f"{html.escape(text)} Then <code>{command}</code>." for text in evaluation.notes)]
 
