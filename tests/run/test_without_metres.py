@@ -127,6 +127,7 @@ def test_no_control_is_fitted_where_it_would_mean_nothing(run: Path) -> None:
     folder = RunFolder(run)
     assert (run / "thermal_naive.ply").exists()
     folder.write_scale(without(NEAR, of=replace(folder.read_scale(), refinement=None)))
+    (run / "thermal.ply").unlink()
     recorder, code = recorded(["thermal", str(run), *flags(THERMAL_FLAGS)])
     assert code == 0 and recorder.works == ["thermal"]
     assert "the control at scale 1 is left out" in " ".join(str(event) for event in recorder.events)

@@ -105,7 +105,9 @@ class _Grid:
         rays = np.stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)], axis=-1)
         side = 2 * math.ceil(math.tan(span / 2) / step)
         wide = Camera("PINHOLE", side, side, 1 / step, 1 / step, side / 2, side / 2)
-        return _Grid(n, step, rays, wide, fft.next_fast_len(2 * n, real=True))
+        # Turned, the thermal image's corners reach further than its sides, and within reach none may come in again at the other end.
+        corners = math.ceil((math.sqrt(2) - 1) * half / step) + 1
+        return _Grid(n, step, rays, wide, fft.next_fast_len(n + corners, real=True))
 
     def render(self, scene: Scene, model: RgbModel, frame: Frame) -> Picture:
         """`[n, n]`: the gray model from the frame's RGB camera, turned as the rig starts."""
