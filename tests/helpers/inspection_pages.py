@@ -9,7 +9,7 @@ import numpy as np
 
 from rtgs.base.json_records import write_json
 from rtgs.images.pictures import save_png
-from rtgs.records.spots import Spot, SpotList
+from rtgs.records.spots import ReferenceTemperature, Spot, SpotList
 
 SPOTS = SpotList(
     (
@@ -18,7 +18,7 @@ SPOTS = SpotList(
     ),
     "°C",
     "3 °C or more & <off>",
-    18.0,
+    ReferenceTemperature("", 18.0),
 )
 
 

@@ -13,7 +13,7 @@ from rtgs.base.json_records import read_json
 from rtgs.metres.combine import combine
 from rtgs.records.georeference import Georeference
 from rtgs.records.metres import MetresSource
-from rtgs.records.spots import Spot
+from rtgs.records.spots import Spot, SpotList
 from rtgs.run.folder import RunFolder
 from rtgs.run.spots import COLUMNS, PLACE_COLUMNS, on_the_earth, row_of
 from rtgs.run.summary import metres_lines
@@ -21,6 +21,7 @@ from rtgs.run.summary import metres_lines
 NORTH = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))  # z of the frame is north, and y down
 PLACE = Georeference(46.0, 11.0, 200.0, "ellipsoid", 0.5, NORTH, (0.0, 0.0, 10.0), (0.01, 0.01, 0.02))
 SPOT = Spot("hot", (0.0, -2.0, 30.0), 0.01, 40.0, 38.0, 20.0, 0.1, 5, 5, ("a",), 39.0, 0.2)
+LISTED = SpotList((SPOT,), "°C", "3 °C or more")
 
 
 def test_lengths_rest_on_all_sources_and_the_cameras_on_the_images(tmp_path: Path) -> None:
@@ -41,7 +42,7 @@ def test_a_spot_has_its_place_on_the_earth() -> None:
     spot = on_the_earth(SPOT, PLACE, metres_per_sfm=0.5)
     assert spot.latitude_deg == pytest.approx(46 + 30 / 111_141, abs=1e-7) and spot.longitude_deg == pytest.approx(11.0)
     assert spot.altitude_m == pytest.approx(212.0, abs=1e-3)
-    assert len(row_of(1, spot, None)) == len(COLUMNS) + len(PLACE_COLUMNS) and len(row_of(1, SPOT, None)) == len(COLUMNS)
+    assert len(row_of(1, spot, LISTED)) == len(COLUMNS) + len(PLACE_COLUMNS) and len(row_of(1, SPOT, LISTED)) == len(COLUMNS)
 
 
 def test_an_export_in_metres_leads_to_the_same_places() -> None:

@@ -66,18 +66,39 @@ class Spot:
 
 
 @dataclass(frozen=True)
+class ReferenceTemperature:
+    """What spots are compared with.
+
+    Attributes:
+        name: of the user's; "" where none was given.
+        temperature: as stated, or as the model shows the region: median over the views.
+        std: standard error of a measured one: root mean square difference of model and photographs, over the views. None where stated.
+        views: training photographs that see the whole region; 0 where stated.
+    """
+
+    name: str
+    temperature: float
+    std: float | None = None
+    views: int = 0
+
+
+@dataclass(frozen=True)
 class SpotList:
     """The spots of a capture, the strongest first.
 
     Attributes:
         unit: of temperatures.
         criterion: what counts as a spot, in words.
-        reference: a temperature to which differences are given; None where none was named.
+        reference: to which differences are given; None where none was named.
         length_unit: of all lengths, also of those whose names end in `_m`.
     """
 
     spots: tuple[Spot, ...]
     unit: Unit
     criterion: str
-    reference: float | None = None
+    reference: ReferenceTemperature | None = None
     length_unit: LengthUnit = "m"
+
+    def off_reference(self, spot: Spot) -> float | None:
+        """`extreme` less the reference; None without one."""
+        return None if self.reference is None else spot.extreme - self.reference.temperature

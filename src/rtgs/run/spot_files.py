@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from rtgs.base.json_records import to_json
 from rtgs.images.pictures import Picture, palette, save_png, side_by_side, to_picture, with_colour_bar
 from rtgs.records.camera import Camera
 from rtgs.records.scene import Scene
@@ -80,13 +81,14 @@ def geojson_of(found: SpotList) -> dict[str, Any]:
         else f"x, y, z in {'metres' if found.length_unit == 'm' else found.length_unit}, frame of the poses",
         "unit": found.unit,
         "criterion": found.criterion,
-        "features": [_feature(number, spot, found.reference, on_earth) for number, spot in enumerate(found.spots, start=1)],
+        "reference": None if found.reference is None else to_json(found.reference),
+        "features": [_feature(number, spot, found, on_earth) for number, spot in enumerate(found.spots, start=1)],
     }
 
 
-def _feature(number: int, spot: Spot, reference: float | None, on_earth: bool) -> dict[str, Any]:
+def _feature(number: int, spot: Spot, found: SpotList, on_earth: bool) -> dict[str, Any]:
     place = (spot.longitude_deg, spot.latitude_deg, spot.altitude_m) if on_earth else spot.position_m
     names = ("kind", "area_m2", "diameter_m", "extreme", "mean", "surroundings", "excess", "std", "views", "seen_by")
     properties = {"number": number, **{name: getattr(spot, name) for name in (*names, "modelled", "model_differs")}}
-    properties["off_reference"] = None if reference is None else spot.extreme - reference
+    properties["off_reference"] = found.off_reference(spot)
     return {"type": "Feature", "geometry": {"type": "Point", "coordinates": list(place)}, "properties": properties}

@@ -14,7 +14,6 @@ from rtgs.base.json_records import write_json
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
 from rtgs.records.georeference import Georeference
-from rtgs.records.metres import LengthUnit
 from rtgs.records.scene import Scene
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.folder import RunFolder, refuse_own_folders
@@ -23,7 +22,8 @@ from rtgs.thermal.spots import find_spots
 
 COLUMNS = (
     *("number", "kind", "x_m", "y_m", "z_m", "area_m2", "diameter_m", "extreme", "mean", "surroundings", "excess", "std"),
-    *("off_reference", "views", "seen_by", "modelled", "modelled_std", "model_differs", "best_frames"),
+    *("off_reference", "reference_name", "reference", "reference_std"),
+    *("views", "seen_by", "modelled", "modelled_std", "model_differs", "best_frames"),
 )
 PLACE_COLUMNS = ("latitude_deg", "longitude_deg", "altitude_m")
 
@@ -44,7 +44,7 @@ def list_spots(folder: RunFolder, scene: Scene, out: Path, config: SpotsConfig, 
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "spots.json", found)
     columns = columns_of(found) if place is None else (*columns_of(found), *PLACE_COLUMNS)
-    write_csv(out / "spots.csv", columns, [row_of(i + 1, spot, found.reference) for i, spot in enumerate(found.spots)])
+    write_csv(out / "spots.csv", columns, [row_of(i + 1, spot, found) for i, spot in enumerate(found.spots)])
     write_json(out / "spots.geojson", geojson_of(found))
     pictures = out / "spots"
     pictures.mkdir(exist_ok=True)
@@ -65,10 +65,14 @@ def columns_of(found: SpotList) -> tuple[str, ...]:
     return COLUMNS if found.length_unit == "m" else tuple(re.sub(r"_m(2?)$", r"_sfm\1", name) for name in COLUMNS)
 
 
-def spot_line(number: int, spot: Spot, unit: str, length_unit: LengthUnit = "m") -> str:
+def spot_line(number: int, spot: Spot, found: SpotList) -> str:
     """A spot in a line of text."""
+    unit, length_unit, off = found.unit, found.length_unit, found.off_reference(spot)
     x, y, z = spot.position_m
-    line = f"{number}: {spot.kind}, {spot.extreme:.1f} {unit} ({spot.excess:+.1f}) at {x:.3f} {y:.3f} {z:.3f} {length_unit}"
+    against = "" if off is None else f", {off:+.1f} to the reference"
+    line = (
+        f"{number}: {spot.kind}, {spot.extreme:.1f} {unit} ({spot.excess:+.1f}{against}) at {x:.3f} {y:.3f} {z:.3f} {length_unit}"
+    )
     area = f"{1e4 * spot.area_m2:.3g} cm²" if length_unit == "m" else f"{spot.area_m2:.3g} square SfM units"
     line += f", {area}, {spot.views} views, best {spot.best_frames[0]}"
     if spot.model_differs:
@@ -76,19 +80,32 @@ def spot_line(number: int, spot: Spot, unit: str, length_unit: LengthUnit = "m")
     return line
 
 
-def row_of(number: int, spot: Spot, reference: float | None) -> list[str]:
+def reference_line(found: SpotList) -> str:
+    """What spots are compared with, in a line of text; "" where they are not."""
+    reference = found.reference
+    if reference is None:
+        return ""
+    line = f"reference{f' {reference.name}' if reference.name else ''}: {reference.temperature:.2f}"
+    if reference.std is not None:
+        line += f" ± {reference.std:.2f}"
+    seen = f", {reference.views} {'view' if reference.views == 1 else 'views'}" if reference.views else ""
+    return f"{line} {found.unit}{seen}"
+
+
+def row_of(number: int, spot: Spot, found: SpotList) -> list[str]:
     """The cells of a spot, one for each of `COLUMNS`, and of `PLACE_COLUMNS` where its place is known."""
 
     def text(value: float | None) -> str:
         return "" if value is None else f"{value:.6g}"
 
-    off = None if reference is None else spot.extreme - reference
+    reference = found.reference
     return [
         str(number),
         spot.kind,
         *(f"{v:.4f}" for v in spot.position_m),
         *(text(v) for v in (spot.area_m2, spot.diameter_m, spot.extreme, spot.mean, spot.surroundings, spot.excess, spot.std)),
-        text(off),
+        text(found.off_reference(spot)),
+        *(["", "", ""] if reference is None else [reference.name, text(reference.temperature), text(reference.std)]),
         str(spot.views),
         str(spot.seen_by),
         text(spot.modelled),

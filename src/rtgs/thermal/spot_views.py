@@ -126,8 +126,7 @@ class SpotView:
         world_from_thermal = self.surface.thermal_from_world.inverse()
         for region in regions:
             rows, columns = region.rows, region.columns
-            depth = self.surface.depth_of(rows, columns, self.depth[rows, columns])
-            points = rays(camera, columns + 0.5, rows + 0.5) * depth[:, None]
+            points = self._local_points(rows, columns)
             pixel = points[:, 2] / camera.fl_x
             # A pixel's solid angle shrinks towards the image's border by the cube of the cosine to the axis.
             areas = pixel**2 * points[:, 2] / np.linalg.norm(points, axis=1)
@@ -150,6 +149,15 @@ class SpotView:
                 modelled=sign * highest(sign * self.shown, near[0], near[1], region.surroundings),
                 lowered=abs(region.extreme - float(image[rows, columns].max())),
             )
+
+    def points(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Floats:
+        """`[K, 3]` of the world: the surface at some pixels of one thing."""
+        return self.surface.thermal_from_world.inverse().apply(self._local_points(rows, columns))
+
+    def _local_points(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Floats:
+        """The same in camera axes."""
+        depth = self.surface.depth_of(rows, columns, self.depth[rows, columns])
+        return rays(self.surface.camera, columns + 0.5, rows + 0.5) * depth[:, None]
 
 
 def rays(camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats:

@@ -12,11 +12,13 @@ import numpy as np
 
 from rtgs.base.progress import Progress
 from rtgs.config import SpotsConfig
+from rtgs.config.spots import parse_reference
 from rtgs.models import ThermalModel
 from rtgs.records.metres import LengthUnit
 from rtgs.records.scene import Scene
-from rtgs.records.spots import Spot, SpotList
+from rtgs.records.spots import ReferenceTemperature, Spot, SpotList
 from rtgs.thermal.spot_places import Floats, Sighting, facing_area, joined, meeting_point
+from rtgs.thermal.spot_reference import ReferenceRegion
 from rtgs.thermal.spot_regions import Region, regions_by_excess, regions_by_threshold
 from rtgs.thermal.spot_views import SpotView
 
@@ -49,19 +51,24 @@ def find_spots(
         progress: called with (views done, views in all, the frame's name).
 
     Raises:
-        RtgsError: no training frame.
+        RtgsError: no training frame, or a reference that no photograph sees.
     """
     config = config or SpotsConfig()
     thresholds, criterion = _thresholds(scene, model, config)
+    sfm_per_metre = model.sfm_per_metre if unit_per_sfm is None else 1 / unit_per_sfm
+    wanted = None if config.reference is None else parse_reference(config.reference)
+    measures = wanted is not None and wanted.temperature is None
+    region = ReferenceRegion.of(scene, model, wanted, 1 / sfm_per_metre) if wanted is not None and measures else None
     sightings, surfaces = [], []
     for done, frame in enumerate(scene.train_frames):
         view = SpotView.of(scene, model, frame)
         surfaces.append(view.surface)
+        if region is not None:
+            region.look(view)
         for sign in (1, -1):
             sightings += list(view.sightings(sign, _regions(view, sign, config.excess, thresholds)))
         if progress is not None:
             progress(done + 1, len(scene.train_frames), frame.name)
-    sfm_per_metre = model.sfm_per_metre if unit_per_sfm is None else 1 / unit_per_sfm
     spots = []
     for group in (g for sign in (1, -1) for g in joined([s for s in sightings if s.sign == sign])):
         views = len({s.frame for s in group})
@@ -74,7 +81,10 @@ def find_spots(
         if thresholds is not None or (views >= SHOWN_SHARE * seen_by and _steady(group)):
             spots.append(_spot(group, place, facing, seen_by, scene, sfm_per_metre))
     spots.sort(key=lambda s: -abs(s.excess))
-    return SpotList(tuple(spots[: config.most]), model.unit, criterion, config.reference, length_unit)
+    reference = None if region is None else region.measured()
+    if wanted is not None and wanted.temperature is not None:
+        reference = ReferenceTemperature(wanted.name, wanted.temperature)
+    return SpotList(tuple(spots[: config.most]), model.unit, criterion, reference, length_unit)
 
 
 def _steady(group: Sequence[Sighting]) -> bool:

@@ -110,7 +110,7 @@ def test_classes_may_refer_to_the_reference(run: Path) -> None:
     assert [row["Class"] for row in written(run, facts).rows[-2:]] == ["B", "below all classes"]
     spots = write_spots(run.parent / "other", replace(SPOTS, reference=None))
     page = written(run, facts, spots)
-    assert "Class" not in page.rows[-1] and "the list has none" in page.text and "No reference temperature" in page.text
+    assert "Class" not in page.rows[-1] and "the list has none" in page.text and "No reference was stated" in page.text
 
 
 def test_a_run_without_spots_says_so(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from tests.helpers.made_up_run import make_run, page_of, summary
 
 from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import write_json
-from rtgs.records.spots import SpotList
+from rtgs.records.spots import ReferenceTemperature, SpotList
 from rtgs.run.report.spots import MOST_LISTED, MOST_PICTURES
 
 
@@ -25,14 +25,20 @@ def test_every_spot_is_a_row_with_its_numbers_and_a_picture(tmp_path: Path) -> N
     text = text_of(run, SPOTS)
     assert "2 spots are 3 °C or more & <off>" in text  # escaped: it came back as text
     row = "1 hot 46.0 °C ± 0.31; the model shows 41.0 °C +26.0 K +28.0 K 123 cm², Ø 12.5 cm 1.23, −2.00, 0.50 7 of 9"
-    assert row in text and "ΔT to 18 °C" in text
+    assert row in text and "ΔT to reference" in text and "The reference: 18.0 °C, as stated." in text
     assert "2 cold 13.0 °C −5.0 K −5.0 K 1.5 m², Ø 1.38 m 0.00, 3.00, −1.00 1 of 1" in text  # no standard error
     assert len(page_of(run).images) == 2
 
 
 def test_without_a_reference_there_is_no_such_column(tmp_path: Path) -> None:
     text = text_of(make_run(tmp_path / "run"), replace(SPOTS, reference=None))
-    assert "+26.0 K 123 cm²" in text and "ΔT to 18" not in text
+    assert "+26.0 K 123 cm²" in text and "ΔT to reference" not in text and "as stated" not in text
+
+
+def test_a_measured_reference_is_named_with_its_error(tmp_path: Path) -> None:
+    wall = ReferenceTemperature("<wall>", 20.0, 0.05, 8)
+    text = text_of(make_run(tmp_path / "run"), replace(SPOTS, reference=wall))
+    assert "ΔT to <wall>" in text and "<wall>: 20.00 °C ± 0.05, as the model shows it; 8 photographs see it" in text
 
 
 def test_without_metres_lengths_are_in_sfm_units(tmp_path: Path) -> None:

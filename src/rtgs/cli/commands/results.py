@@ -59,15 +59,17 @@ def spots(run: Folder, out: Path, config: Annotated[SpotsConfig, Flat], listener
         config: what counts as a spot.
     """
     from rtgs.run.folder import RunFolder
-    from rtgs.run.spots import list_spots, spot_line
+    from rtgs.run.spots import list_spots, reference_line, spot_line
 
     folder = RunFolder(run)
     scene = folder.load_scene(listener)
     with long_work(listener, "spots", "views") as progress:
         found = list_spots(folder, scene, out, config, progress=progress)
     listener(ResultLine(f"spots: {len(found.spots)} ({found.criterion}), in {out}"))
+    if found.reference is not None:
+        listener(ResultLine(reference_line(found)))
     for number, spot in enumerate(found.spots[:_SHOWN], start=1):
-        listener(ResultLine("  " + spot_line(number, spot, found.unit, found.length_unit)))
+        listener(ResultLine("  " + spot_line(number, spot, found)))
 
 
 def export_models(run: Folder, out: Path, config: Annotated[ExportConfig, Flat], listener: Hidden) -> None:

@@ -38,8 +38,14 @@ def _notes(report: Inspection, listed: SpotList) -> list[str]:
     if listed.reference is None:
         notes.append(words("findings.no_reference"))
     else:
-        what = facts.reference or words.plain("findings.reference_unknown")
-        notes.append(words("findings.reference", value=minus(f"{listed.reference:g}"), unit=listed.unit, what=what))
+        reference = listed.reference
+        what = reference.name or facts.reference or words.plain("findings.reference_unknown")
+        if reference.std is None:
+            notes.append(words("findings.reference", value=minus(f"{reference.temperature:g}"), unit=listed.unit, what=what))
+        else:
+            value = minus(f"{reference.temperature:.2f}") + f" ± {reference.std:.2f}"
+            key = "findings.reference_measured_one" if reference.views == 1 else "findings.reference_measured"
+            notes.append(words(key, value=value, unit=listed.unit, what=what, views=reference.views))
     notes.append(_axes(report))
     if not facts.severity:
         notes.append(words("findings.no_severity"))
@@ -74,7 +80,8 @@ def severity(report: Inspection, spot: Spot) -> SeverityClass | None:
     listed, facts = report.spots, report.facts
     if facts.severity_of == "surroundings":
         return facts.class_of(spot.excess)
-    return None if listed is None or listed.reference is None else facts.class_of(spot.extreme - listed.reference)
+    off = None if listed is None else listed.off_reference(spot)
+    return None if off is None else facts.class_of(off)
 
 
 def _has_classes(report: Inspection) -> bool:
@@ -109,7 +116,8 @@ def cells_of(report: Inspection, listed: SpotList, number: int, spot: Spot) -> d
     """The cells of a finding, as HTML, by the catalogue's `column.KEY`."""
     words, unit = report.words, listed.unit
     error = "" if spot.std is None else f" ±\u00a0{spot.std:.2f}"
-    reference = "" if listed.reference is None else amount(spot.extreme - listed.reference, unit, difference=True)
+    off = listed.off_reference(spot)
+    reference = "" if off is None else amount(off, unit, difference=True)
     return {
         "number": f"<b>{number}</b>",
         "kind": words(f"kind.{spot.kind}"),

@@ -28,7 +28,20 @@ def spots_section(run: RunRecords) -> str:
         "<p>± is one standard error. Temperatures are medians over the training photographs that show the place; “of 9” counts those "
         "that see it. Positions are in the frame of the poses.</p>"
     )
-    return section(_TITLE, said + _table(found) + notes + _pictures(run, found))
+    return section(_TITLE, said + _table(found) + notes + _reference(found) + _pictures(run, found))
+
+
+def _reference(found: SpotList) -> str:
+    """What differences refer to; "" where to nothing."""
+    reference = found.reference
+    if reference is None:
+        return ""
+    name = html.escape(reference.name or "The reference")
+    if reference.std is None:
+        return f"<p>{name}: {amount(reference.temperature, found.unit)}, as stated.</p>"
+    value = f"{amount(reference.temperature, found.unit, 2)} ±\u00a0{reference.std:.2f}"
+    views = "1 photograph sees" if reference.views == 1 else f"{reference.views} photographs see"
+    return f"<p>{name}: {value}, as the model shows it; {views} it, and ± is how far the model is off them.</p>"
 
 
 def _counts(run: RunRecords) -> str:
@@ -46,7 +59,7 @@ def _folder(run: RunRecords, found: SpotList) -> str:
 def _table(found: SpotList) -> str:
     columns = ["No.", "Kind", "Temperature", "ΔT to surroundings", "Extent", f"Position ({found.length_unit})", "Photographs"]
     if found.reference is not None:
-        columns.insert(4, f"ΔT to {minus(f'{found.reference:g}')}\u00a0{found.unit}")
+        columns.insert(4, f"ΔT to {found.reference.name or 'reference'}")
     head = "".join(f"<th>{html.escape(column)}</th>" for column in columns)
     rows = "".join(_row(number, spot, found, columns) for number, spot in enumerate(found.spots[:MOST_LISTED], start=1))
     return f'<div class="wide"><table class="spots stacked"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
@@ -61,8 +74,9 @@ def _row(number: int, spot: Spot, found: SpotList, columns: list[str]) -> str:
     if found.length_unit != "m":
         extent = f"Ø\u00a0{spot.diameter_m:.3g}\u00a0{found.length_unit}"
     cells = [str(number), spot.kind, extreme, amount(spot.excess, unit, difference=True), extent]
-    if found.reference is not None:
-        cells.insert(4, amount(spot.extreme - found.reference, unit, difference=True))
+    off = found.off_reference(spot)
+    if off is not None:
+        cells.insert(4, amount(off, unit, difference=True))
     cells += [", ".join(minus(f"{v:.2f}") for v in spot.position_m), f"{spot.views} of {spot.seen_by}"]
     # The heading of each cell stands in front of it where the screen is too narrow for columns.
     named = zip(columns, cells, strict=True)
