@@ -37,6 +37,7 @@ from tests.helpers.radiometric_files import (
 
 from rtgs.base.errors import RtgsError
 from rtgs.cli import main
+from rtgs.io.camera_tags import read_camera_tags
 from rtgs.io.cameras.flir import read_flir
 from rtgs.io.cameras.import_folder import import_folder
 from rtgs.io.capture import load_capture
@@ -146,6 +147,8 @@ def test_visible_pictures_keep_their_pixels_and_gain_gps_and_time(photographs: P
     assert path.read_bytes().count(b"Exif\0\0") == 1  # the inner one went
     exif = Image.open(path).getexif()
     assert (exif[271], exif[272], exif[306]) == ("FLIR Systems AB", "FLIR T0", "2024:05:06 07:08:09")
+    tags = read_camera_tags(path)  # as the inspection report reads them
+    assert (tags.camera, tags.serial, tags.lens) == ("FLIR Systems AB FLIR T0", "12345", "FOL9")
     gps = exif.get_ifd(0x8825)
     assert gps[1] == "N" and tuple(map(float, gps[2])) == GPS[2] and float(gps[6]) == GPS[6]
     assert 37386 not in exif.get_ifd(0x8769)  # the focal length in a FLIR file is the thermal lens's

@@ -24,9 +24,11 @@ from rtgs.io.cameras.jpeg import (
     EXIF_IFD,
     EXPORT_AGAIN,
     GPS_IFD,
+    LENS,
     MAKE,
     MODEL,
     ORIENTATION,
+    SERIAL,
     exif_text,
     opened,
     with_exif,
@@ -360,7 +362,7 @@ FORMAT: CameraFormat = FlirFormat()
 
 
 def _embedded(image: FlirImage) -> VisiblePicture | None:
-    """The embedded picture as a file of its own, with the camera, the time and the GPS position of the file around it.
+    """The embedded picture as a file of its own, with the camera, its serial number and lens, time and GPS of the file around it.
 
     How much wider the visible camera sees, and where the thermal image lies in its picture, are the camera's fusion settings.
     """
@@ -371,6 +373,9 @@ def _embedded(image: FlirImage) -> VisiblePicture | None:
     for tag, text in ((MAKE, image.make), (MODEL, image.model), (DATE_TIME, time)):
         if text:
             exif[tag] = text
+    for tag, text in ((SERIAL, image.serial), (LENS, image.lens)):
+        if text:
+            exif.get_ifd(EXIF_IFD)[tag] = text
     if image.gps:
         exif.get_ifd(GPS_IFD).update(image.gps)
     with Image.open(io.BytesIO(image.visible_file), formats=IMAGE_FORMATS) as picture:

@@ -11,7 +11,7 @@ from PIL import Image
 from rtgs.base.errors import RtgsError
 
 # EXIF tags.
-MAKE, MODEL, ORIENTATION, DATE_TIME, EXIF_IFD, GPS_IFD = 271, 272, 274, 306, 0x8769, 0x8825
+MAKE, MODEL, ORIENTATION, DATE_TIME, EXIF_IFD, GPS_IFD, SERIAL, LENS = 271, 272, 274, 306, 0x8769, 0x8825, 0xA431, 0xA434
 EXPORT_AGAIN = "Copy the original file from the camera again; editing or sharing a picture drops or damages its thermal data."
 
 
