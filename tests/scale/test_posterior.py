@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from rtgs.scale.posterior import covariance, gradient_covariance
+from rtgs.scale.posterior import covariance, gradient_covariance, true_share
 
 
 def test_the_covariance_is_that_of_repeated_experiments() -> None:
@@ -26,3 +27,12 @@ def test_noise_of_the_mean_gradient() -> None:
     runs = [gradient_covariance(np.repeat(rng.normal(size=(250, 2)), 2, axis=0)) * 250 for _ in range(40)]  # neighbours err alike
     np.testing.assert_allclose(np.mean(runs, axis=0), np.eye(2), atol=0.15)
     assert (np.linalg.eigvalsh(gradient_covariance(rng.normal(size=(5, 8)))) > -1e-12).all()  # fewer frames than unknowns
+
+
+def test_what_gauss_newton_overstates_is_found_beside_noise_along_a_weak_direction() -> None:
+    rng = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(rng.normal(size=(7, 7)))
+    gauss_newton = (turn * [1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 1e-3]) @ turn.T
+    assert true_share(0.03 * gauss_newton, gauss_newton) == pytest.approx(0.03, rel=1e-4)
+    noise = -0.01 * np.outer(turn[:, -1], turn[:, -1])  # makes it fall along that direction
+    assert true_share(0.03 * gauss_newton + noise, gauss_newton) == pytest.approx(0.03, rel=1e-4)

@@ -29,7 +29,7 @@ from rtgs.scale.comparison import Comparison
 from rtgs.scale.free_rig import EVERYTHING, SHIFT, SIZE, TURN, WITHOUT_BASELINE, ZOOM, FreeRig, FreeRigLoss, Here, Vector
 from rtgs.scale.interval import WIDEST, model_pixels
 from rtgs.scale.model_bias import model_bias
-from rtgs.scale.posterior import bias_of, covariance, gradient_covariance, positive
+from rtgs.scale.posterior import bias_of, covariance, gradient_covariance, true_share
 from rtgs.scale.problem import Problem, usable_frames
 from rtgs.scale.progress import RenderProgress
 from rtgs.scale.records import FoundRig, Freedom
@@ -262,11 +262,15 @@ def _typical_depth(scene: Scene, model: RgbModel, names: Sequence[str], rig: Fre
 
 def _posterior(loss: FreeRigLoss, here: Here, free: NDArray[np.bool_]) -> Vector:
     """`[Q, Q]`: covariance of what was free, in pixels: the frames' scatter, and edges of the render beside those of the photograph."""
-    frames = some_of(range(len(loss.pictures.frames)), _HESSIAN_FRAMES)
-    hessian = loss.hessian(0, frames, here.rig, free, _HESSIAN_PIXELS)
-    typical = loss.evaluate(0, frames, here.rig, curvature=True).gauss_newton[np.ix_(free, free)]
-    typical = typical + np.diag(_ALIKE * np.diag(typical))
-    curved = positive(hessian, typical)
+    every = range(len(loss.pictures.frames))
+    some = some_of(every, _HESSIAN_FRAMES)
+
+    def gauss_newton(frames: Sequence[int]) -> Vector:
+        matrix = loss.evaluate(0, frames, here.rig, curvature=True).gauss_newton[np.ix_(free, free)]
+        return np.asarray(matrix + np.diag(_ALIKE * np.diag(matrix)))
+
+    share = true_share(loss.hessian(0, some, here.rig, free, _HESSIAN_PIXELS), gauss_newton(some))
+    curved = share * gauss_newton(every)
     std = np.full(int(free.sum()), model_pixels(loss.pictures.blur_px))
     scatter = gradient_covariance(here.gradients[:, free]) + bias_of(curved, std)
     return covariance(curved, scatter, np.zeros_like(curved), 0.0)
