@@ -26,7 +26,7 @@ from rtgs.renderer import render
 from rtgs.scale.bracket import Bracket
 from rtgs.scale.checks import softness
 from rtgs.scale.comparison import Comparison
-from rtgs.scale.free_rig import EVERYTHING, SHIFT, SIZE, TURN, WITHOUT_BASELINE, ZOOM, FreeRig, FreeRigLoss, Here, Vector
+from rtgs.scale.free_rig import EVERYTHING, ROUGHLY, SHIFT, SIZE, TURN, WITHOUT_BASELINE, ZOOM, FreeRig, FreeRigLoss, Here, Vector
 from rtgs.scale.interval import WIDEST, model_pixels
 from rtgs.scale.model_bias import model_bias
 from rtgs.scale.posterior import bias_of, covariance, gradient_covariance, true_share
@@ -101,17 +101,14 @@ def find_rig(
     found = _distinct([loss.descend(coarsest, search, start, WITHOUT_BASELINE) for start in starts])[:_CONTINUED]
     found = _distinct([*found, *_neighbours(loss, coarsest, search, found[0])])[:_CONTINUED]
     with_baseline = sorted((loss.descend(coarsest, some, h.rig, EVERYTHING) for h in found), key=lambda h: h.loss)
-    best = with_baseline[0]
+    down = [with_baseline[0]]
     for halved in range(coarsest - 1, 0, -1):
-        best = loss.descend(halved, some, best.rig, EVERYTHING, best.curvature)
-    half = min(1, coarsest)
-    still = _best_without_baseline(loss, coarsest, some, (found[0].rig, _without_baseline(best.rig, depth)))
+        down.append(loss.descend(halved, some, down[-1].rig, EVERYTHING, down[-1].curvature))
+    best = down[-1]
     fine = loss.finest_only()
     fine, here = _softened(problem, fine, _settled(fine, best.rig, EVERYTHING, best.curvature))
     rest = _Beside(
-        losses=loss.losses(half, every, best.rig),
-        without=loss.losses(half, every, still),
-        still=still,
+        still=_without_one(loss, coarsest, some, [h.rig for h in down], (found[0].rig, _without_baseline(best.rig, depth))),
         bias=model_bias(problem, depth, search),
         agreements=tuple(c.agreement for c in candidates),
         doubt=_rivals(with_baseline),
@@ -121,19 +118,30 @@ def find_rig(
 
 
 @dataclass(frozen=True, eq=False)
+class _Still:
+    """The best rig without a baseline, and the frames' losses `[F]` with one and without, at the size at which they were compared."""
+
+    rig: FreeRig
+    losses: Vector
+    without: Vector
+
+    @property
+    def gain(self) -> float:
+        """By how many standard errors a baseline makes the edges agree better."""
+        return significance(self.without - self.losses)
+
+
+@dataclass(frozen=True, eq=False)
 class _Beside:
     """What is known beside the rig that was found.
 
     Attributes:
-        losses, without: of the frames at half the size, `[F]`, with a baseline and without.
         still: the best rig without a baseline.
         bias: by how much the RGB model moves every rig. agreements: of the candidates.
         doubt: another place that fits as well. contrast: as in `FoundRig`.
     """
 
-    losses: Vector
-    without: Vector
-    still: FreeRig
+    still: _Still
     bias: FreeRig
     agreements: tuple[float, ...]
     doubt: str
@@ -143,16 +151,28 @@ class _Beside:
 def _settled(loss: FreeRigLoss, rig: FreeRig, free: NDArray[np.bool_], known: Vector | None = None) -> Here:
     """Down at full size: with some of the frames, then the last of the way with all of them."""
     every = range(len(loss.pictures.frames))
-    before = loss.descend(0, some_of(every, _DESCENT_FRAMES), rig, free, known)
+    before = loss.descend(0, some_of(every, _DESCENT_FRAMES), rig, free, known, tolerance=ROUGHLY)
     return loss.descend(0, every, before.rig, free, before.curvature)
 
 
-def _best_without_baseline(loss: FreeRigLoss, coarsest: int, indices: Sequence[int], starts: Sequence[FreeRig]) -> FreeRig:
-    """The best place without a baseline, at half the size: from the better one of these at the coarsest size."""
+def _without_one(
+    loss: FreeRigLoss, coarsest: int, indices: Sequence[int], best: Sequence[FreeRig], starts: Sequence[FreeRig]
+) -> _Still:
+    """The best place without a baseline, at sizes up to half of the full one, and no larger than needed to see that there is one.
+
+    Args:
+        best: rigs with a baseline, from the coarsest size on. starts: where to begin.
+    """
+    every = range(len(loss.pictures.frames))
     here = min((loss.descend(coarsest, indices, rig, WITHOUT_BASELINE) for rig in starts), key=lambda h: h.loss)
-    for halved in range(coarsest - 1, 0, -1):
+    halved = coarsest
+    while True:
+        with_one = best[coarsest - halved]
+        still = _Still(here.rig, loss.losses(halved, every, with_one), loss.losses(halved, every, here.rig))
+        if still.gain >= UNLIKELY or halved <= 1:
+            return still
+        halved -= 1
         here = loss.descend(halved, indices, here.rig, WITHOUT_BASELINE, here.curvature)
-    return here.rig
 
 
 def _neighbours(loss: FreeRigLoss, halved: int, indices: Sequence[int], best: Here) -> list[Here]:
@@ -265,12 +285,13 @@ def _posterior(loss: FreeRigLoss, here: Here, free: NDArray[np.bool_]) -> Vector
     every = range(len(loss.pictures.frames))
     some = some_of(every, _HESSIAN_FRAMES)
 
-    def gauss_newton(frames: Sequence[int]) -> Vector:
-        matrix = loss.evaluate(0, frames, here.rig, curvature=True).gauss_newton[np.ix_(free, free)]
+    def gauss_newton(of: Here) -> Vector:
+        matrix = of.gauss_newton[np.ix_(free, free)]
         return np.asarray(matrix + np.diag(_ALIKE * np.diag(matrix)))
 
-    share = true_share(loss.hessian(0, some, here.rig, free, _HESSIAN_PIXELS), gauss_newton(some))
-    curved = share * gauss_newton(every)
+    there = loss.evaluate(0, some, here.rig, curvature=True)
+    share = true_share(loss.hessian(there, 0, some, free, _HESSIAN_PIXELS), gauss_newton(there))
+    curved = share * gauss_newton(loss.evaluate(0, every, here.rig, curvature=True))
     std = np.full(int(free.sum()), model_pixels(loss.pictures.blur_px))
     scatter = gradient_covariance(here.gradients[:, free]) + bias_of(curved, std)
     return covariance(curved, scatter, np.zeros_like(curved), 0.0)
@@ -281,19 +302,18 @@ def _judged(loss: FreeRigLoss, here: Here, rest: _Beside) -> RigFromCapture:
     scene = loss.pictures.scene
     start = scene.rig.start
     assert start is not None
-    gain = significance(rest.without - rest.losses)
     full = _posterior(loss, here, EVERYTHING) * np.outer(loss.units, loss.units)
     chosen = here.rig.without(rest.bias)
     length = float(np.linalg.norm(chosen.translation))
     along, shift = chosen.translation / max(length, 1e-30), full[SHIFT, SHIFT]
     std_log = math.sqrt(float(along @ shift @ along)) / max(length, 1e-30)
     apart = float(chosen.translation @ np.linalg.solve(shift, chosen.translation))
-    seen = gain >= UNLIKELY and apart > _NO_BASELINE and std_log < _HOPELESS
+    seen = rest.still.gain >= UNLIKELY and apart > _NO_BASELINE and std_log < _HOPELESS
     unit = start.baseline_m or 1.0
     if seen:
         rig, s = _placed(loss, chosen, unit)
     else:  # both cameras in the same place: a thousandth of a pixel apart
-        chosen, full = _without_seen_baseline(loss, here.rig, rest.still)
+        chosen, full = _without_seen_baseline(loss, here.rig, rest.still.rig)
         rig, s = _placed(loss, replace(chosen, translation=1e-3 * loss.units[SHIFT] * np.array([1.0, 0.0, 0.0])), unit)
     freedoms, rows = _freedoms(loss, chosen, full, seen)
     doubt = rest.doubt
@@ -305,9 +325,9 @@ def _judged(loss: FreeRigLoss, here: Here, rest: _Beside) -> RigFromCapture:
         baseline_sfm=length * scene.given_from_world.factor if seen else None,
         baseline_std_log=std_log if seen else None,
         baseline_m=start.baseline_m,
-        loss_without_baseline=float(rest.without.mean()),
-        loss=float(rest.losses.mean()),
-        significance=gain,
+        loss_without_baseline=float(rest.still.without.mean()),
+        loss=float(rest.still.losses.mean()),
+        significance=rest.still.gain,
         candidates=rest.agreements,
         contrast=rest.contrast,
     )

@@ -31,7 +31,8 @@ _MOST_STEPS = 25
 _MOST_CUTS = 5
 _LONGEST = 2.0  # pixels of the size compared
 _FIRST = 0.5  # pixels: how long the first step is, since Gauss–Newton overstates the curvature
-_TOLERANCE, _ROUGHLY = 0.03, 0.1  # pixels of the size compared: at full size, and at sizes from which a descent goes on
+_TOLERANCE = 0.03  # pixels of the size compared
+ROUGHLY = 0.1  # likewise, where another descent goes on from there
 _DAMPED = 0.2  # Powell's damping of BFGS
 
 
@@ -157,7 +158,14 @@ class FreeRigLoss:
         return (self.pictures.scene.world_from_rgb[self.pictures.frames[index].name] @ rig.rgb_from_thermal).inverse()
 
     def descend(
-        self, halved: int, indices: Sequence[int], rig: FreeRig, free: NDArray[np.bool_], known: Vector | None = None
+        self,
+        halved: int,
+        indices: Sequence[int],
+        rig: FreeRig,
+        free: NDArray[np.bool_],
+        known: Vector | None = None,
+        *,
+        tolerance: float = _TOLERANCE,
     ) -> Here:
         """Down the mean loss by BFGS, beginning with the Gauss–Newton matrix.
 
@@ -167,6 +175,7 @@ class FreeRigLoss:
         Args:
             free: `[7]`, which unknowns move.
             known: `[Q, Q]`, the curvature that another descent has come to, in place of the Gauss–Newton matrix. Its scale may be wrong.
+            tolerance: a step that is shorter ends the descent; pixels of the size compared.
         """
         pixel, first = 2.0**halved, True
         here = self.evaluate(halved, indices, rig, curvature=known is None)
@@ -194,17 +203,20 @@ class FreeRigLoss:
             if there.loss >= here.loss:
                 break
             here, rig = there, there.rig
-            if float(np.abs(step).max()) < (_ROUGHLY if halved else _TOLERANCE) * pixel:
+            if float(np.abs(step).max()) < max(tolerance, ROUGHLY if halved else 0.0) * pixel:
                 break
         return replace(here, curvature=curvature)
 
-    def hessian(self, halved: int, indices: Sequence[int], rig: FreeRig, free: NDArray[np.bool_], pixels: float) -> Vector:
-        """`[Q, Q]`: of the mean loss among what is free, by central differences of the gradient, so many pixels to either side."""
+    def hessian(self, here: Here, halved: int, indices: Sequence[int], free: NDArray[np.bool_], pixels: float) -> Vector:
+        """`[Q, Q]`: of the mean loss among what is free, by differences of the gradient over so many pixels.
+
+        Args:
+            here: what these frames say at the place.
+        """
         rows = []
         for k in np.flatnonzero(free):
-            step = pixels * np.eye(SIZE)[k] * self.units
-            after, before = (self.evaluate(halved, indices, rig.moved(sign * step)).gradient[free] for sign in (1, -1))
-            rows.append((after - before) / (2 * pixels))
+            there = self.evaluate(halved, indices, here.rig.moved(pixels * np.eye(SIZE)[k] * self.units))
+            rows.append((there.gradient - here.gradient)[free] / pixels)
         matrix = np.array(rows)
         return np.asarray((matrix + matrix.T) / 2)
 
