@@ -135,6 +135,7 @@ class Page(HTMLParser):
 
     def __init__(self, source: str) -> None:
         super().__init__()
+        self.source = source
         self.open: list[str] = []
         self.headings: list[str] = []
         self.images: list[str] = []

@@ -43,6 +43,10 @@ def test_nothing_is_fetched(whole: Page) -> None:
     assert len(whole.ids) == len(set(whole.ids))  # two curves on one page must not share clip paths
 
 
+def test_charts_hold_nothing_that_html_does_not_know(whole: Page) -> None:
+    assert "<svg" in whole.source and "rdf:" not in whole.source and "<metadata" not in whole.source
+
+
 def test_frames_are_few_and_evenly_chosen(whole: Page) -> None:
     # Before and after; three RGB and five thermal pictures a frame.
     assert len(whole.images) == MOST_OVERLAYS * 2 + MOST_FRAMES * (3 + 5) + 2

@@ -127,7 +127,7 @@ def as_svg(figure: Figure, caption: str) -> str:
     buffer = io.StringIO()
     # Text stays text (small, and in the page's own font); the salt makes ids the same on every run and different between charts.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": caption, "font.family": "sans-serif"}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+        figure.savefig(buffer, format="svg", transparent=True, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     svg = buffer.getvalue()
     svg = re.sub(r'<g id="[^"]*">', "<g>", svg[svg.index("<svg") :])  # group names, alike in every chart; nothing refers to them
     svg = svg.replace(INK, "currentColor")
