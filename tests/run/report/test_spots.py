@@ -13,6 +13,7 @@ from rtgs.base.errors import RtgsError
 from rtgs.base.json_records import write_json
 from rtgs.records.spots import ReferenceTemperature, SpotList
 from rtgs.run.report.spots import MOST_LISTED, MOST_PICTURES
+from rtgs.run.report.values import position
 
 
 def text_of(run: Path, spots: SpotList) -> str:
@@ -70,3 +71,7 @@ def test_a_damaged_list_or_picture_is_named(tmp_path: Path) -> None:
     (folder / "spots.json").write_text("[]")
     with pytest.raises(RtgsError, match=r"spots\.json"):
         page_of(run)
+
+
+def test_a_position_has_no_negative_zero() -> None:
+    assert position((0.614, -0.001, -2.0)) == "0.61, 0.00, −2.00"

@@ -13,7 +13,7 @@ from rtgs.run.inspection.facts import SeverityClass
 from rtgs.run.inspection.inspection import Inspection
 from rtgs.run.inspection.pieces import card, lines, paragraph, picture
 from rtgs.run.report.pieces import read_picture
-from rtgs.run.report.values import amount, area, length, minus
+from rtgs.run.report.values import amount, area, length, minus, position
 
 _PICTURE_PX = 760
 
@@ -127,7 +127,7 @@ def cells_of(report: Inspection, listed: SpotList, number: int, spot: Spot) -> d
         "excess": html.escape(amount(spot.excess, unit, difference=True)),
         "off_reference": html.escape(reference),
         "size": words("value.size", area=area(spot.area_m2), diameter=length(spot.diameter_m)),
-        "position": ", ".join(minus(f"{v:.2f}") for v in position_of(report, spot)),
+        "position": position(position_of(report, spot)),
         "views": words("value.views", views=spot.views, seen=spot.seen_by),
     }
 

@@ -8,7 +8,7 @@ import shlex
 from rtgs.records.spots import Spot, SpotList
 from rtgs.run.report.pieces import figure, missing, section
 from rtgs.run.report.run_records import RunRecords
-from rtgs.run.report.values import amount, area, length, minus
+from rtgs.run.report.values import amount, area, length, position
 
 MOST_LISTED = 20
 MOST_PICTURES = 6
@@ -77,7 +77,7 @@ def _row(number: int, spot: Spot, found: SpotList, columns: list[str]) -> str:
     off = found.off_reference(spot)
     if off is not None:
         cells.insert(4, amount(off, unit, difference=True))
-    cells += [", ".join(minus(f"{v:.2f}") for v in spot.position_m), f"{spot.views} of {spot.seen_by}"]
+    cells += [position(spot.position_m), f"{spot.views} of {spot.seen_by}"]
     # The heading of each cell stands in front of it where the screen is too narrow for columns.
     named = zip(columns, cells, strict=True)
     return "<tr>" + "".join(f'<td data-column="{html.escape(c)}">{html.escape(cell)}</td>' for c, cell in named) + "</tr>"

@@ -48,6 +48,11 @@ def amount(value: float, unit: Unit, decimals: int = 1, *, difference: bool = Fa
     return minus(f"{value:{'+' if difference else ''}.{decimals}f}") + f"\u00a0{shown}"
 
 
+def position(place: Sequence[float]) -> str:
+    """To a hundredth: "0.61, −2.00, 0.00"."""
+    return ", ".join(minus(f"{round(v, 2) + 0.0:.2f}") for v in place)  # + 0.0: no "-0"
+
+
 def duration(seconds: float) -> str:
     """ "4.2 s", "3 min 05 s" or "2 h 07 min"."""
     if seconds < 10:
