@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import viser
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from rtgs.images.pictures import palette, to_picture
 from rtgs.viewer.panel_view import Head
@@ -158,6 +157,8 @@ class PhotosPanel:
 
 def _size(centres: list[NDArray[np.float64]]) -> float:
     """Of the cameras in the picture, in the world: so that neighbours can be told apart."""
+    from scipy.spatial import cKDTree  # slow to import, and a page opens without it
+
     if len(centres) < 2:
         return _LARGEST
     apart = cKDTree(centres).query(centres, k=2)[0][:, 1]
