@@ -111,7 +111,7 @@ def find_rig(
         still=_without_one(loss, coarsest, some, [h.rig for h in down], (found[0].rig, _without_baseline(best.rig, depth))),
         bias=model_bias(problem, depth, search),
         agreements=tuple(c.agreement for c in candidates),
-        doubt=_rivals(with_baseline),
+        doubt=_rivals(loss, coarsest, with_baseline),
         contrast=_contrast(loss, coarsest, every, here.rig),
     )
     return _judged(fine, here, rest)
@@ -215,11 +215,14 @@ def _apart(a: FreeRig, b: FreeRig) -> bool:
     return turn > _SAME_DEG or abs(a.log_zoom - b.log_zoom) > _SAME_ZOOM
 
 
-def _rivals(found: Sequence[Here]) -> str:
-    """A doubt where another place is not clearly worse than the best; empty where there is none."""
+def _rivals(loss: FreeRigLoss, halved: int, found: Sequence[Here]) -> str:
+    """A doubt where another place is not clearly worse than the best, by all frames; empty where there is none."""
+    every, best = range(len(loss.pictures.frames)), found[0].rig
     for other in found[1:]:
-        if _apart(found[0].rig, other.rig) and significance(other.losses - found[0].losses) < UNLIKELY:
-            turn = math.degrees(float(np.linalg.norm(axis_angle_from_rotation(found[0].rig.rotation.T @ other.rig.rotation))))
+        if not _apart(best, other.rig):
+            continue
+        if significance(loss.losses(halved, every, other.rig) - loss.losses(halved, every, best)) < UNLIKELY:
+            turn = math.degrees(float(np.linalg.norm(axis_angle_from_rotation(best.rotation.T @ other.rig.rotation))))
             return f"the edges meet as well with the thermal camera turned by another {turn:.2g}°."
     return ""
 
