@@ -108,3 +108,14 @@ def test_what_is_up_is_what_the_cameras_had_above_them(contents: Contents) -> No
     assert contents.up @ np.array([0.0, -1.0, 0.0]) > 0.95
     lo, hi = contents.box
     assert (hi > lo).all()
+
+
+def test_the_list_of_the_run_is_shown_unless_another_is_named(run: Path, tmp_path: Path) -> None:
+    own, other = SpotList((), "°C", "of the run"), SpotList((), "°C", "named")
+    before = read_contents(run)
+    assert before.spots is None
+    (run / "spots").mkdir()
+    write_json(run / "spots" / "spots.json", own)
+    write_json(tmp_path / "spots.json", other)
+    assert read_contents(run, before=before).spots == own
+    assert read_contents(run, tmp_path / "spots.json").spots == other

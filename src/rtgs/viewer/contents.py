@@ -117,11 +117,13 @@ def read_contents(run: Path, spots: Path | None = None, before: Contents | None 
     """Read what a run has. Never raises for something that is missing, half written or damaged: `Contents.messages` says it.
 
     Args:
-        spots: a `spots.json` to show; None: none.
+        spots: a `spots.json` to show; None: the run's own, where it has one.
         before: what an earlier call gave. Parts whose files are the same are taken over.
     """
     folder, before = RunFolder(run), before or Contents(run)
     marks = {part: _mark(run, names) for part, names in PARTS.items()}
+    if spots is None and (own := run / "spots" / "spots.json").is_file():
+        spots = own
     marks["spots"] = _mark(Path(), [str(spots)] if spots else []) + marks["scale"] + marks["thermal"]
     messages: dict[str, str] = {}
 

@@ -204,7 +204,7 @@ def view(run: Path | str, *, host: str = "127.0.0.1", port: int = 8080, spots: P
         run: the run folder; it may be half finished, or a run may be going on in it.
         host: address to bind to. Others than 127.0.0.1 let other machines in.
         port: 0 for any free one; the next free one where it is taken.
-        spots: `spots.json` of `rtgs spots`, to show.
+        spots: `spots.json` of `rtgs spots`, to show in place of the run's own list.
 
     Returns:
         The server; `stop` closes it.

@@ -22,7 +22,7 @@ def view(
 
     Args:
         run: the run folder.
-        spots: `spots.json` of `rtgs spots`, to show.
+        spots: `spots.json` of `rtgs spots`, to show in place of the run's own list.
         host: address to listen at. Any other than 127.0.0.1 lets other machines in; nobody is asked for a password.
         port: where; the next free one where it is taken, and any free one for 0.
         browser: open the page; --no-browser only says where it is.
