@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import cv2
 import numpy as np
 from tests.helpers.chromium import Chromium, Tab, wait_for
@@ -49,14 +51,18 @@ class Visit:
         return abs(camera.width / camera.height * height / width - 1) < 0.01
 
     def look_from(self, position_m: tuple[float, float, float]) -> None:
-        """Put the browser's camera there, facing the wall."""
-        contents = self.session.contents
-        given = SE3(np.eye(3), TRUTH * np.array(position_m))
-        self.session.fly_to(
-            Eye.of(640, 480, 0.7, contents.given_from_world.carry_inverse(given)), TRUTH * (PLANE_M - position_m[2])
-        )
-        target = contents.given_from_world.carry_inverse(given).matrix()
-        wait_for(lambda: np.allclose(self.session.eye().world_from_camera.matrix(), target, atol=1e-3), "the camera is there")
+        """Put the browser's camera there, facing the wall, and wait until the browser says that it is."""
+        pose = self.session.contents.given_from_world.carry_inverse(SE3(np.eye(3), TRUTH * np.array(position_m)))
+        eye, said = Eye.of(640, 480, 0.7, pose), threading.Event()
+
+        def there() -> bool:
+            return np.allclose(self.session.eye().world_from_camera.matrix(), pose.matrix(), atol=1e-3)
+
+        if not there():
+            # The server's own numbers change at once. What the browser reports follows when it has moved.
+            self.session.client.camera.on_update(lambda _: said.set() if there() else None)
+            self.session.fly_to(eye, TRUTH * (PLANE_M - position_m[2]))
+            wait_for(said.is_set, "the browser's camera is there")
         self.at_rest()
 
     def pixel_of(self, position_m: tuple[float, float, float]) -> tuple[float, float]:

@@ -34,7 +34,7 @@ def reference_of(scene: Scene, model: ThermalModel, what: str) -> ReferenceTempe
 
 
 def test_what_is_written() -> None:
-    assert parse_reference(21) == Reference("", temperature=21.0) and parse_reference("air=-3.5") == Reference("air", -3.5)
+    assert parse_reference("21") == Reference("", temperature=21.0) and parse_reference("air=-3.5") == Reference("air", -3.5)
     assert parse_reference("the wall=a:b.c:1,2,30,40") == Reference("the wall", frame="a:b.c", box=(1, 2, 30, 40))
     assert parse_reference("0.1,-2,3,0.05") == Reference("", place=(0.1, -2.0, 3.0), radius=0.05)
 

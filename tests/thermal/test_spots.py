@@ -92,7 +92,7 @@ def test_the_criterion_decides(known: tuple[Scene, ThermalModel]) -> None:
     scene, model = known
     assert [s.kind for s in find_spots(scene, model, SpotsConfig(excess=10.0)).spots] == ["hot"]
     assert [s.kind for s in find_spots(scene, model, SpotsConfig(below=16.0)).spots] == ["cold"]
-    both = find_spots(scene, model, SpotsConfig(above=26.0, below=16.0, reference=18.0))
+    both = find_spots(scene, model, SpotsConfig(above=26.0, below=16.0, reference="18"))
     assert [s.kind for s in both.spots] == ["hot", "cold"] and both.reference == ReferenceTemperature("", 18.0)
     assert both.spots[0].area_m2 == pytest.approx(math.pi * 0.12**2 / 4, rel=0.3)  # 26 °C is half of its excess
     assert find_spots(scene, model, SpotsConfig(fewest_views=12)).spots == ()

@@ -25,7 +25,7 @@ class SpotsConfig:
     """Instead: what is colder than this."""
     percentile: Annotated[float | None, Range(50, below=100)] = None
     """Instead: what is warmer than this percentile of the training images, and what is colder than 100 minus it."""
-    reference: str | float | None = None
+    reference: str | None = None
     """Differences to it are given as well. A temperature (21), or a region whose temperature is measured: a rectangle of thermal pixels of
     a frame (FRAME:LEFT,TOP,RIGHT,BOTTOM), or a place with a radius, in metres as in the list (X,Y,Z,RADIUS). NAME= before it names it."""
     fewest_views: Annotated[int, Range(1)] = 3
@@ -56,13 +56,13 @@ class Reference:
     radius: float | None = None
 
 
-def parse_reference(text: str | float) -> Reference:
+def parse_reference(text: str) -> Reference:
     """Read "[NAME=]21", "[NAME=]FRAME:LEFT,TOP,RIGHT,BOTTOM" or "[NAME=]X,Y,Z,RADIUS".
 
     Raises:
         RtgsError: it is none of these.
     """
-    name, _, what = str(text).rpartition("=")
+    name, _, what = text.rpartition("=")
     frame, _, numbers = what.rpartition(":")
     try:
         values = [float(v) for v in numbers.split(",")]

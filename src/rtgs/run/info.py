@@ -278,7 +278,6 @@ _OTHERS = {
     "thermal_naive.json": "thermal model at scale 1, beside thermal_naive.ply",
     "world.json": "world of a run, in the frame of the poses",
     "georeference.json": "place on the Earth",
-    "ground_truth.json": "truth of a synthetic capture",
 }
 """Other JSON files that rtgs writes."""
 
