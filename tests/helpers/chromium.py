@@ -227,7 +227,8 @@ class Chromium:
         self._port, self.folder = port, folder
         self._sockets: list[ClientConnection] = []
         version = self._get("/json/version")
-        self._main = connect(version["webSocketDebuggerUrl"], max_size=None, open_timeout=PATIENCE_S)
+        # No pings: a browser that draws on a busy machine answers late, and is well.
+        self._main = connect(version["webSocketDebuggerUrl"], max_size=None, ping_interval=None, open_timeout=PATIENCE_S)
         self._sockets.append(self._main)
 
     def _get(self, path: str) -> dict[str, Any]:
@@ -240,7 +241,9 @@ class Chromium:
         while not target:
             message = json.loads(self._main.recv(timeout=PATIENCE_S))
             target = message.get("result", {}).get("targetId", "") if message.get("id") == 1 else ""
-        socket = connect(f"ws://127.0.0.1:{self._port}/devtools/page/{target}", max_size=None, open_timeout=PATIENCE_S)
+        socket = connect(
+            f"ws://127.0.0.1:{self._port}/devtools/page/{target}", max_size=None, ping_interval=None, open_timeout=PATIENCE_S
+        )
         self._sockets.append(socket)
         tab = Tab(socket)
         tab.resize(width, height)
